@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Positive
 from clothtrack.files.settings import settings_of, with_settings
 
 
@@ -113,6 +114,25 @@ def test_what_json_cannot_read_is_a_text(text):
 def test_a_refusal_does_not_list_a_whole_group():
     with pytest.raises(InvalidConfigError, match=r'inner: "x" cannot replace Inner, which is a'):
         with_settings(Outer(), ["inner=x"])
+
+
+def test_a_limit_is_told_of_the_setting_as_it_was_written():
+    @dataclass(frozen=True)
+    class PartConfig(Checked):
+        size_m: Positive = 1.0
+
+    @dataclass(frozen=True)
+    class WholeConfig:
+        part: PartConfig = field(default_factory=PartConfig)
+
+    @dataclass(frozen=True)
+    class Settings:
+        whole: WholeConfig = field(default_factory=WholeConfig)
+
+    with pytest.raises(
+        InvalidConfigError, match=r"^whole\.part\.size_m is -1\.0; it must be above"
+    ):
+        with_settings(Settings(), ["whole.part.size_m=-1"])
 
 
 def test_a_tuple_of_groups_is_no_setting():

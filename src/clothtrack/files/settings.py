@@ -92,6 +92,12 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
                     f"{name}: there is no such setting; did you mean {' or '.join(close)}?"
                 ) from None
             raise InvalidConfigError(str(unknown)) from None
+        except InvalidConfigError as error:
+            # A group knows its own name, and not what it is a part of.
+            said, _, rest = str(error).partition(" is ")
+            if not name.strip().endswith(f".{said}"):
+                raise
+            raise InvalidConfigError(f"{name.strip()} is {rest}") from None
     return config
 
 
