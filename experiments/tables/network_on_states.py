@@ -43,7 +43,13 @@ from clothtrack.errors import ClothTrackError
 from clothtrack.evaluation.verdict import picture_verdict
 from clothtrack.files import atomic_file, content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, quiet_warp
+from clothtrack.geometry import (
+    ClothMesh,
+    Rasteriser,
+    closest_on_mesh,
+    crossings,
+    quiet_warp,
+)
 from clothtrack.reconstruction import (
     DepthInput,
     load_model,
@@ -172,6 +178,9 @@ class State:
         row |= {"hidden_mm": float(apart[~seen].mean())} if (~seen).any() else {}
         if (bounds := result.vertex_bounds_m) is not None:
             row["bounded"] = float((apart <= 1e3 * bounds).mean())
+        found_m = result.mesh.vertices.astype(float)
+        crossed = crossings(found_m, result.mesh.faces)
+        row["crossings_per_1000_edges"] = 1e3 * crossed / len(result.mesh.edges)
         row["right"] = row["error_mm"] <= 1e3 * RIGHT * row["size_m"]
         agreement = agreement_of(result.mesh, self.picture)
         found = picture_verdict(result, agreement)
@@ -246,7 +255,7 @@ def error_table(rows: Sequence[Row]) -> str:
     head = ["garment", "network", "coverage", "states", "error, mm", "% of the side", "seen, mm",
             "hidden, mm", "layers in order",
             *(["minus the first", "lower in"] if several else []), "within bounds",
-            "CPU s"]  # fmt: skip
+            "crossings per 1,000 edges", "CPU s"]  # fmt: skip
     first = {_state(row): row["error_mm"] for row in good if row["weights"] == networks[0]}
     lines = []
     for kind, network in product(dict.fromkeys(row["kind"] for row in rows), networks):
@@ -273,7 +282,9 @@ def error_table(rows: Sequence[Row]) -> str:
                 _mean([row["seen_mm"] for row in own]),
                 _mean([row["hidden_mm"] for row in own if "hidden_mm" in row]),
                 f"{_mean(ordered)} %", *pair,
-                f"{_mean(bounded)} %", f"{np.median([row['cpu_s'] for row in own]):.2f}",
+                f"{_mean(bounded)} %",
+                _mean([row["crossings_per_1000_edges"] for row in own]),
+                f"{np.median([row['cpu_s'] for row in own]):.2f}",
             ])  # fmt: skip
     return table(head, lines)
 
