@@ -1,22 +1,25 @@
 """What a choice is worth: the true gain of each action that a planner would choose.
 
-Actions of a crumpled start are judged by every planner (`PLANNERS`) with every belief (`PERCEIVED`,
-either order of the layers, and the truth). Those that any of them would choose, with a strip of any
-width (`planner.strip_m`), are carried out in the simulated world, which goes back to the start
-before each; the one placed farthest off the cloth and two at random, too. So planners are compared
-on the same starts, without episodes.
+Actions of a start are judged by the planner with every belief (`PERCEIVED`, either order of the
+layers, and the truth). Those that it would choose with any of them, with a strip of any width
+(`planner.strip_m`), are carried out in the simulated world, which goes back to the start before
+each; the one placed farthest off the cloth and two at random, too. So beliefs are compared on the
+same starts, without episodes.
 
     python experiments planning_choices --out OUT --kind tshirt --starts 20 [--weights TOKENS]
+    python experiments planning_choices --out OUT --kind tshirt --starts 20 --episodes FOLDER
 
-A third of the starts are dropped cloth, the others have been pulled outwards once or twice. Starts
-that are finished are kept. The gain is fitted to the promise and the distance off the cloth, start
+A third of the starts are dropped cloth, the others have been pulled outwards once or twice. With
+`--episodes`, where a method's episodes lie (FOLDER/worlds, as `flattening` keeps them), they are
+cloth that a plan has come to: that of every third action. Starts that are finished are kept. The
+gain is fitted to the promise and the distance off the cloth, start
 by start: what a metre off the cloth is worth over the promise's slope is the width of a strip.
 """
 
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,11 +33,15 @@ from shared.learning_measures import where_in
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.evaluation import material_points
-from clothtrack.files import with_settings
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry import ClothMesh, projected_area, quiet_warp
 from clothtrack.planning import FlattenConfig, PerceptionConfig, dynamics_of, perception_of
-from clothtrack.planning.action_space import off_cloth, pick_weights, sample_actions
+from clothtrack.planning.action_space import (
+    ActionSpace,
+    off_cloth,
+    pick_weights,
+    sample_actions,
+)
 from clothtrack.planning.episode_store import write_step
 from clothtrack.planning.perception import Estimate, Look, Perception
 from clothtrack.planning.planner import Hypothesis, Planner, ranked
@@ -46,22 +53,15 @@ from clothtrack_lab.world.flex import Fabric
 FIRST_SEED = 9100
 """Of the starts; episodes begin at others."""
 
-STRIPS_M = (0.0, 0.03, 0.06, 0.09, 0.12)
+STRIPS_M = (0.0, 0.03, 0.09)
 SMOKE = replace(SMALL_WORLD, fabric=Fabric())
 
 PERCEIVED = ("refined", "laid")
 """The network's mesh, and the same before it is refined. Beside them, either order of its layers is
 believed (the default), and the truth."""
 
-PLANNERS: dict[str, tuple[str, ...]] = {
-    "default": (),
-    "25 mm": (
-        "simulator.coarse.spacing_m=0.025",
-        "simulator.coarse.most_vertices=400",
-        "simulator.parameters.bend_compliance=30",
-    ),
-}
-"""Settings of `FlattenConfig`; 25 mm was the default until it lost here."""
+EVERY = 3
+"""Actions of an episode from one start to the next."""
 
 
 def chosen(
@@ -86,40 +86,72 @@ def looked(robot: SimulatedRobot, folder: Path) -> Look:
     return Look(shown, acted=False)
 
 
+Start = tuple[str, SimulatedRobot, Callable[[Path], None]]
+"""Its name, its robot, and what brings its cloth there; that may write into a folder."""
+
+
+def fresh_starts(
+    kind: str, seeds: Iterable[int], config: SimulatedRobotConfig, space: ActionSpace
+) -> Iterator[Start]:
+    """Yield dropped cloth, of every three twice as often pulled outwards."""
+    for seed in seeds:
+        robot = SimulatedRobot(kind, seed, config)
+
+        def begin(folder: Path, robot: SimulatedRobot = robot, seed: int = seed) -> None:
+            robot.crumple()
+            rng = np.random.default_rng([seed, 0xC401CE, 0])
+            for number in range(seed % 3):
+                look = looked(robot, folder / f"before{number}")
+                seen = seen_cloth(look.recording, look.observation())
+                tried = sample_actions(seen, 100, space, rng)
+                robot.execute(tried[int(np.argmax(off_cloth(seen, tried)))])
+
+        yield f"{kind}_{seed}", robot, begin
+
+
+def starts_of_episodes(
+    kind: str, episodes: Path, count: int, config: SimulatedRobotConfig
+) -> Iterator[Start]:
+    """Yield the cloth after every third action of a method's episodes, one of each in turn."""
+    worlds = [
+        (int(path.stem), path.parent.name, path)
+        for path in episodes.glob(f"worlds/{kind}_*/*.npz")
+        if int(path.stem) % EVERY == 0 and int(path.stem) > 0
+    ]
+    for action, label, path in sorted(worlds)[:count]:
+        robot = SimulatedRobot(kind, int(label.rpartition("_")[2]), config)
+
+        def begin(folder: Path, robot: SimulatedRobot = robot, path: Path = path) -> None:
+            del folder
+            robot.restore(path)
+
+        yield f"{label}_{action}", robot, begin
+
+
 def measured(
+    name: str,
     robot: SimulatedRobot,
-    seed: int,
     folder: Path,
-    planners: Mapping[str, Planner],
+    planner: Planner,
     perceptions: Mapping[str, Perception],
     *,
     candidates: int,
 ) -> dict[str, Any]:
-    """Return promises and true gains of what anyone would choose at one start."""
-    robot.crumple()
-    rng = np.random.default_rng([seed, 0xC401CE])
-    space = next(iter(planners.values())).config.space
-    for number in range(seed % 3):
-        look = looked(robot, folder / f"before{number}")
-        seen = seen_cloth(look.recording, look.observation())
-        tried = sample_actions(seen, candidates, space, rng)
-        robot.execute(tried[int(np.argmax(off_cloth(seen, tried)))])
+    """Return promises and true gains of what anyone would choose now."""
+    rng = np.random.default_rng([*name.encode()])
+    space = planner.config.space
     look = looked(robot, folder / "shown")
     seen = seen_cloth(look.recording, look.observation())
     found = {name: each.perceive(look) for name, each in perceptions.items()}
     flat, positions = robot.true_cloth()
     found["truth"] = Estimate(flat, positions, "control: truth")
-    beliefs = {name: Hypothesis(one.flat, one.positions, robot.kind) for name, one in found.items()}
+    beliefs = {each: Hypothesis(one.flat, one.positions, robot.kind) for each, one in found.items()}
     refined = beliefs["refined"]
     beliefs["either order"] = replace(refined, opposite=found["refined"].opposite)
     weights = pick_weights(seen.cloud, refined.flat, refined.positions)
     tried = sample_actions(seen, candidates, space, rng, weights=weights)
     off_m = off_cloth(seen, tried)
-    gains_m2 = {
-        f"{belief}, {name}": planner.gains(beliefs[belief], seen, tried)
-        for name, planner in planners.items()
-        for belief in beliefs
-    }
+    gains_m2 = {one: planner.gains(belief, seen, tried) for one, belief in beliefs.items()}
     done = chosen(gains_m2, off_m, rng)
     before_m2 = projected_area(positions, flat.faces)
     robot.save(folder / "world.npz")
@@ -129,15 +161,15 @@ def measured(
         robot.execute(tried[number])
         true_m2.append(projected_area(robot.true_cloth()[1], flat.faces) - before_m2)
     return {
-        "start": f"{robot.kind}_{seed}",
+        "start": name,
         "expected_error_m": found["refined"].expected_error_m,
         "beliefs": {
-            name: _against_truth(found[name], flat, positions, robot.kind) for name in perceptions
+            each: _against_truth(found[each], flat, positions, robot.kind) for each in perceptions
         },
         "coverage": before_m2 / projected_area(flat.vertices, flat.faces),
         "actions": [action.as_dict() for action in tried],
         "off_m": off_m.tolist(),
-        "promised_m2": {name: gains.tolist() for name, gains in gains_m2.items()},
+        "promised_m2": {one: gains.tolist() for one, gains in gains_m2.items()},
         "done": done,
         "gain_m2": true_m2,
     }
@@ -181,11 +213,11 @@ def fitted(rows: Sequence[dict[str, Any]], planner: str) -> str:
     )
 
 
-def won(rows: Sequence[dict[str, Any]], planner: str, strip_m: float) -> list[float]:
-    """The true gain [cm2] of what a planner chooses at each start."""
+def won(rows: Sequence[dict[str, Any]], belief: str, strip_m: float) -> list[float]:
+    """Return what was won at each start from a belief with a strip of this width [cm2]."""
     gains = []
     for row in rows:
-        promised_m2, off_m = np.array(row["promised_m2"][planner]), np.array(row["off_m"])
+        promised_m2, off_m = np.array(row["promised_m2"][belief]), np.array(row["off_m"])
         number = preferred(promised_m2, off_m, strip_m)
         gains.append(1e4 * row["gain_m2"][row["done"].index(number)])
     return gains
@@ -194,7 +226,7 @@ def won(rows: Sequence[dict[str, Any]], planner: str, strip_m: float) -> list[fl
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
     """Both tables, and how wrong the beliefs were."""
     names = list(rows[0]["promised_m2"])
-    lines = ["| planned from, by | per promised cm2 | per meter off, cm2 | strip, m | known |"]
+    lines = ["| planned from | per promised cm2 | per meter off, cm2 | strip, m | known |"]
     lines.append("|---" * 5 + "|")
     lines += [f"| {name} {fitted(rows, name)}" for name in names]
     head = " | ".join(f"strip {100 * strip_m:.0f} cm" for strip_m in STRIPS_M)
@@ -223,6 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kind", default="tshirt", choices=("towel", "tshirt"))
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--episodes", type=Path, help="start where these have come to")
     parser.add_argument("--candidates", type=int, default=100, help="actions that are judged")
     parser.add_argument("--weights", default="", help="of the network; those of the package")
     parser.add_argument("--smoke", action="store_true", help="one napkin")
@@ -244,29 +277,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         }
     except ClothTrackError as error:
         parser.error(str(error))
-    configs = {
-        name: with_settings(FlattenConfig(), settings) for name, settings in PLANNERS.items()
-    }
-    planners = {
-        name: Planner(dynamics_of(config), config.planner) for name, config in configs.items()
-    }
+    config = FlattenConfig()
+    planner = Planner(dynamics_of(config), config.planner)
+    seeds = range(options.first_seed, options.first_seed + options.starts)
+    starts = (
+        fresh_starts(options.kind, seeds, robot, planner.config.space)
+        if options.episodes is None
+        else starts_of_episodes(options.kind, options.episodes, options.starts, robot)
+    )
     rows = []
-    for seed in range(options.first_seed, options.first_seed + options.starts):
-        folder = options.out / f"{options.kind}_{seed}"
+    for name, one, begin in starts:
+        folder = options.out / name
         done = folder / "row.json"
         if not done.exists():
             folder.mkdir(parents=True, exist_ok=True)
-            row = measured(
-                SimulatedRobot(options.kind, seed, robot),
-                seed,
-                folder,
-                planners,
-                perceptions,
-                candidates=options.candidates,
-            )
+            begin(folder)
+            row = measured(name, one, folder, planner, perceptions, candidates=options.candidates)
             with atomic_file(done) as unfinished:
                 unfinished.write_text(json.dumps(row), encoding="utf-8")
         rows.append(json.loads(done.read_text()))
+    if not rows:
+        parser.error(f"{options.episodes}: no worlds/{options.kind}_*/*.npz of a finished action")
     say(f"{__doc__.splitlines()[0]}\n\n{len(rows)} starts ({options.kind})\n\n{markdown(rows)}\n")
     return 0
 
