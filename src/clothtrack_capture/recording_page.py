@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.lettering import Picture
-from clothtrack.report.local_page import Answer, serving
+from clothtrack.report.local_page import Answer, serving, wait_for
 from clothtrack.report.palette import PAPER, heat, rgb255
 from clothtrack_capture.live_capture import CapturedFrame, CaptureWriter, DepthCamera
 from clothtrack_capture.mask_pictures import jpeg
@@ -162,7 +162,7 @@ def record_live(
                 # Whoever has read the address may press Ctrl-C before `opened` returns.
                 if opened is not None:
                     opened(address)
-                session.stop.wait()
+                wait_for(session.stop)
             except KeyboardInterrupt:
                 session.stop.set()
             watching.join(timeout=10.0)

@@ -7,14 +7,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, get_args
 from urllib.parse import quote, unquote
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.label_review import LabelReview, Verdict
 from clothtrack.report.document import document, served_document
-from clothtrack.report.local_page import Answer, serving
+from clothtrack.report.local_page import WAKE_S, Answer, serving, wait_for
 
 _WAITING = '<p class="lead">The page is being written; it shows itself when it is ready.</p>'
 
@@ -132,7 +132,7 @@ def serve(
         with live_page(name, port, decisions=decisions, opened=opened) as page:
             with tempfile.TemporaryDirectory() as folder:
                 page.show(write(Path(folder) / "page.html"))
-            (stop or threading.Event()).wait()
+            wait_for(stop or threading.Event())
     except KeyboardInterrupt:
         return
 
@@ -212,7 +212,10 @@ def serve_folder(
             folder.pages = {name: LivePage(name, one.decisions) for name, one in reports.items()}
             folder.index.show(write_index(path))
             while True:
-                name = folder.asked.get()
+                try:
+                    name = folder.asked.get(timeout=WAKE_S)
+                except Empty:
+                    continue
                 try:
                     folder.pages[name].show(reports[name].write(path))
                 except ClothTrackError as error:
