@@ -147,11 +147,12 @@ def measured(
     found["truth"] = Estimate(flat, positions, "control: truth")
     beliefs = {each: Hypothesis(one.flat, one.positions, robot.kind) for each, one in found.items()}
     refined = beliefs["refined"]
-    beliefs["either order"] = replace(refined, opposite=found["refined"].opposite)
     weights = pick_weights(seen.cloud, refined.flat, refined.positions)
     tried = sample_actions(seen, candidates, space, rng, weights=weights)
     off_m = off_cloth(seen, tried)
     gains_m2 = {one: planner.gains(belief, seen, tried) for one, belief in beliefs.items()}
+    turned = replace(refined, positions=found["refined"].opposite)
+    gains_m2["either order"] = (gains_m2["refined"] + planner.gains(turned, seen, tried)) / 2.0
     done = chosen(gains_m2, off_m, rng)
     before_m2 = projected_area(positions, flat.faces)
     robot.save(folder / "world.npz")

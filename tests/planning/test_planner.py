@@ -73,17 +73,19 @@ def test_cloth_that_would_leave_the_picture_is_worth_nothing():
 
 
 def test_both_orders_of_the_layers_count_alike():
-    """Where the other order is as likely, a gain is the mean of both."""
+    """Where the other order is as likely, the gain of the best is the mean of both."""
     dynamics = GrowTowards([0.2, 0.0])
     narrow = replace(BELIEF, positions=LYING * [0.5, 1.0, 1.0])
-    actions = decide(dynamics).candidates[:10]
     planner = Planner(dynamics, plain())
-    one, other, both = (
-        planner.gains(belief, SEEN, actions)
-        for belief in (BELIEF, narrow, replace(BELIEF, opposite=narrow.positions))
-    )
+    either = replace(BELIEF, opposite=narrow.positions)
+    decision = planner.decide(either, SEEN, np.random.default_rng(0))
+    one, other = (planner.gains(each, SEEN, decision.candidates) for each in (BELIEF, narrow))
     np.testing.assert_allclose(other, 0.5 * one, rtol=1e-6)
-    np.testing.assert_allclose(both, 0.5 * (one + other), rtol=1e-6)
+    both, alone = np.split(decision.gains_m2 / one, [30])
+    np.testing.assert_allclose(both, 0.75, rtol=1e-6)
+    np.testing.assert_allclose(alone, 1.0, rtol=1e-6)
+    assert len(alone) > 0
+    assert one[:30].min() >= one[30:].max()
 
 
 def test_of_two_alike_the_place_farther_off_the_cloth_is_taken():

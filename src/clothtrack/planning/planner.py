@@ -6,7 +6,7 @@ preference for places off the cloth is added.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,6 +24,10 @@ from clothtrack.planning.action_space import (
 from clothtrack.planning.coarse_cloth import Coarsener
 from clothtrack.planning.planning_dynamics import PlannedCloth, PlanningDynamics
 from clothtrack.planning.reward import coverage
+
+_BOTH_ORDERS = 30
+"""So many actions, the best with the layers as they are believed to lie, are rolled out with the
+opposite order, too. Of 15 decisions all took one of the best 26 of 100."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,8 @@ class Decision:
         action: the best; None when no action keeps the limits.
         gain_m2: coverage that it is expected to add [m^2].
         candidates: every action that was tried, the best first.
-        gains_m2: expected gain of each [m^2].
+        gains_m2: expected gain of each [m^2]; of the best it is the mean over both orders of the
+            layers, where either is as likely.
         worth_m2: what each is chosen by: its gain, and the strip to its place [m^2].
         seconds: wall-clock time of the decision [s].
         cpu_s: processor time of the decision [s].
@@ -113,14 +118,22 @@ class Planner:
             rng: source of the candidates.
         """
         clock, cpu = time.perf_counter(), time.process_time()
-        cloth = self._coarsened(hypothesis, hypothesis.positions, seen.table_height_m)
+        cloth = self._coarsened(hypothesis, seen.table_height_m)
         tried = sample_actions(
             seen, self.config.candidates, self.config.space, rng,
             weights=pick_weights(seen.cloud, cloth.flat, cloth.positions),
         )  # fmt: skip
+        strips = self.config.strip_m * off_cloth(seen, tried)
         gains = self.gains(hypothesis, seen, tried)
-        worth = gains + self.config.strip_m * off_cloth(seen, tried)
-        order = ranked(gains, worth)
+        order = ranked(gains, gains + strips)
+        if hypothesis.opposite is not None:
+            best, others = np.split(order, [_BOTH_ORDERS])
+            turned = replace(hypothesis, positions=hypothesis.opposite)
+            gains[best] += self.gains(turned, seen, [tried[k] for k in best])
+            gains[best] /= 2.0
+            best = best[ranked(gains[best], (gains + strips)[best])]
+            order = np.concatenate([best, others])
+        worth = gains + strips
         order = order[np.isfinite(gains[order])]
         return Decision(
             action=tried[order[0]] if len(order) else None,
@@ -135,37 +148,21 @@ class Planner:
     def gains(
         self, hypothesis: Hypothesis, seen: SeenCloth, actions: Sequence[PickPlace]
     ) -> Float[np.ndarray, " actions"]:
-        """Return the coverage [m^2] that each action is expected to add to doing nothing."""
-        either = (hypothesis.positions, hypothesis.opposite)
-        cloths = [
-            self._coarsened(hypothesis, positions, seen.table_height_m)
-            for positions in either
-            if positions is not None
-        ]
-        return np.mean([self._gained(actions, seen, cloth) for cloth in cloths], axis=0)
-
-    def _gained(
-        self, actions: Sequence[PickPlace], seen: SeenCloth, cloth: PlannedCloth
-    ) -> Float[np.ndarray, " actions"]:
-        """Return the coverage [m^2] that each action adds to doing nothing."""
+        """Return the coverage [m^2] that each action adds to doing nothing, of one order."""
+        cloth = self._coarsened(hypothesis, seen.table_height_m)
         if not actions:
             return np.zeros(0)
         ends = self._dynamics.predict(cloth, [None, *actions])
         areas = coverage(ends, cloth.flat.faces, seen.camera)
         return areas[1:] - (areas[0] if np.isfinite(areas[0]) else 0.0)
 
-    def _coarsened(
-        self,
-        belief: Hypothesis,
-        positions: Float[np.ndarray, "vertices 3"],
-        table_height_m: float,
-    ) -> PlannedCloth:
+    def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
         """Return the coarse cloth where it is believed to be; one mesh for one flat garment."""
         known = [coarsen for flat, coarsen in self._coarse if flat is belief.flat]
         coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self._dynamics.coarse)
         if not known:
             self._coarse = [*self._coarse[-3:], (belief.flat, coarsen)]
-        fine = np.asarray(positions, dtype=np.float64)
+        fine = np.asarray(belief.positions, dtype=np.float64)
         return PlannedCloth(
             coarsen.flat, coarsen(fine), table_height_m, fine=fine, stands_for=coarsen.stands_for
         )
