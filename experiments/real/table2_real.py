@@ -55,7 +55,7 @@ from clothtrack.reconstruction.data.pseudo_labels import (
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.tracking import TrackedTrajectory
 from clothtrack_lab.published_networks.registered import SHIPPED as PUBLISHED
-from real import drawn_robot_clouds
+from real import drawn_robot_clouds, hanging_cloth
 from real.hanging_learning import hanging_frames
 from real.learned_cloth import KIND, Answer, Ask, Cloth
 from real.robot_learning import TO_CHOOSE, napkins, refuse_shared
@@ -191,7 +191,10 @@ def run(napkin_plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     if options.smoke or options.only == NAPKINS or "tokens" not in napkin_plan.starts:
         return report
     starts = {"tokens": napkin_plan.starts["tokens"]}
-    for splits in hanging_frames(options.data, napkin_plan.keep / "recordings").values():
+    hanging = hanging_frames(options.data, napkin_plan.keep / "recordings")
+    if options.only == HANGING and not hanging:
+        raise InvalidConfigError(f"{options.data}: there is no {hanging_cloth.NAME} in it")
+    for splits in hanging.values():
         plan = replace(napkin_plan, splits=splits, starts=starts)
         rows = report.setdefault(HANGING, {"rows": []})["rows"]
         for row in rows_of(plan, options.labels):
@@ -382,6 +385,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if not options.smoke and (options.data is None or options.json is None):
         parser.error("give --data DIR and --json OUT, or --smoke")
+    if options.only == HANGING and (options.smoke or "tokens" not in options.networks):
+        parser.error("--only hanging is for real data and the token network")
     return options
 
 

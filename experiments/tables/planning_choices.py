@@ -99,7 +99,7 @@ def fresh_starts(
 
         def begin(folder: Path, robot: SimulatedRobot = robot, seed: int = seed) -> None:
             robot.crumple()
-            rng = np.random.default_rng([seed, 0xC401CE, 0])
+            rng = np.random.default_rng([seed, 0xC401CE])
             for number in range(seed % 3):
                 look = looked(robot, folder / f"before{number}")
                 seen = seen_cloth(look.recording, look.observation())
@@ -116,7 +116,10 @@ def starts_of_episodes(
     worlds = [
         (int(path.stem), path.parent.name, path)
         for path in episodes.glob(f"worlds/{kind}_*/*.npz")
-        if int(path.stem) % EVERY == 0 and int(path.stem) > 0
+        if int(path.stem) % EVERY == 0
+        and int(path.stem) > 0
+        # Not those of one garment, KIND_gNNNN_SEED: their robot is another.
+        and path.parent.name.removeprefix(f"{kind}_").isdigit()
     ]
     for action, label, path in sorted(worlds)[:count]:
         robot = SimulatedRobot(kind, int(label.rpartition("_")[2]), config)
@@ -151,8 +154,10 @@ def measured(
     tried = sample_actions(seen, candidates, space, rng, weights=weights)
     off_m = off_cloth(seen, tried)
     gains_m2 = {one: planner.gains(belief, seen, tried) for one, belief in beliefs.items()}
-    turned = replace(refined, positions=found["refined"].opposite)
-    gains_m2["either order"] = (gains_m2["refined"] + planner.gains(turned, seen, tried)) / 2.0
+    gains_m2["either order"] = gains_m2["refined"]
+    if (opposite := found["refined"].opposite) is not None:
+        turned = planner.gains(replace(refined, positions=opposite), seen, tried)
+        gains_m2["either order"] = (gains_m2["refined"] + turned) / 2.0
     done = chosen(gains_m2, off_m, rng)
     before_m2 = projected_area(positions, flat.faces)
     robot.save(folder / "world.npz")

@@ -23,8 +23,8 @@ logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 WAKE_S = 0.5
-"""Whoever waits for Ctrl-C wakes this often [s]: where another thread of the process gets the
-signal, it is the waking that notices it. Of some 400 interrupted pages one had gone on."""
+"""Whoever waits for Ctrl-C wakes this often [s]. Of some 400 interrupted pages one had gone on,
+probably because another thread was handed the signal, which wakes nobody."""
 
 _LONGEST_MESSAGE = 1 << 16
 _HIGHEST_PORT = 65_535

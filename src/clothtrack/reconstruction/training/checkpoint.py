@@ -84,7 +84,7 @@ class Weights:
 def _runs(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the runs that weights began with, and their own: none holds another."""
     start = provenance.get("data", {}).get(START, [])
-    # Weights of before said so of the run before alone, which held the one before it.
+    # Older files hold only the last run before, which holds the one before it, and so on.
     earlier = start if isinstance(start, list) else _runs(start)
     own = {**provenance, "data": without_start(provenance.get("data", {}))}
     if "phases" in own:
