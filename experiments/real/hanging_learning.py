@@ -24,7 +24,7 @@ from clothtrack.reconstruction.data.pseudo_labels import (
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import TrackedTrajectory
 from real import hanging_cloth
-from real.learned_cloth import KIND, Ask, corners, quality
+from real.learned_cloth import KIND, Ask, corners
 from real.upright import WORLD_FROM_CAMERA, upright
 
 SPLITS = {
@@ -78,16 +78,12 @@ class HangingFrames:
         depth, mask, camera = self._seen(frame)
         return DepthInput(depth, mask, camera, None, KIND, self.size_m)
 
-    def labelled(self, tracked: TrackedTrajectory, *, weighted: bool = False) -> LabelledRecording:
+    def labelled(self, tracked: TrackedTrajectory) -> LabelledRecording:
         """Every frame, labelled by the tracker."""
-        pictures, frames = [], []
-        for frame in self.frames:
-            positions = np.asarray(tracked.positions[frame], np.float64)
-            weight = quality(self.recording, tracked.mesh, frame, positions) if weighted else 1.0
-            if weight > 0.0:
-                pictures.append(self._labelled_picture(self._seen(frame), tracked, frame, weight))
-                frames.append(frame)
-        return self._of(self.name, tracked.mesh, frames, pictures)
+        pictures = [
+            self._labelled_picture(self._seen(frame), tracked, frame) for frame in self.frames
+        ]
+        return self._of(self.name, tracked.mesh, list(self.frames), pictures)
 
     def simulated(self, simulated: TrackedTrajectory) -> LabelledRecording:
         """The same frames of a simulated cloth, with noise; it has no holes."""
@@ -99,7 +95,7 @@ class HangingFrames:
             measured = drawn.depth + rng.normal(0.0, NOISE_M, drawn.depth.shape)
             depth = np.where(np.isfinite(measured), measured, 0.0).astype(np.float32)
             seen = depth, depth > 0, camera
-            pictures.append(self._labelled_picture(seen, simulated, frame, 1.0))
+            pictures.append(self._labelled_picture(seen, simulated, frame))
         return self._of(f"simulated_{self.name}", simulated.mesh, list(self.frames), pictures)
 
     def tracked_mesh(self, tracked: TrackedTrajectory) -> Ask:
@@ -141,12 +137,12 @@ class HangingFrames:
         return depth, mask, replace(camera, world_from_camera=LOOKING_DOWN)
 
     def _labelled_picture(
-        self, seen: tuple, tracked: TrackedTrajectory, frame: int, weight: float
+        self, seen: tuple, tracked: TrackedTrajectory, frame: int
     ) -> LabelledPicture:
         depth, mask, camera = seen
         positions = _shown(tracked, frame)
         faces = projected_faces(depth, mask, camera, positions, tracked.mesh.faces, cut_m=CUT_M)
-        return LabelledPicture(depth, mask, camera, faces, positions, weight)
+        return LabelledPicture(depth, mask, camera, faces, positions)
 
     def _of(
         self, name: str, mesh: ClothMesh, frames: list[int], pictures: list[LabelledPicture]

@@ -8,13 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from shared.bench_measures import Row
 
-from clothtrack.evaluation import QualityModel
-from clothtrack.evaluation.label_evidence import Label, label_evidence
-from clothtrack.evaluation.label_quality import SHIPPED
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction import DepthInput
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
-from clothtrack.recordings import Recording
 from clothtrack.tracking import TrackedTrajectory
 
 KIND = "towel"
@@ -44,8 +40,8 @@ class Cloth(Protocol):
         """What the network is shown."""
         ...
 
-    def labelled(self, tracked: TrackedTrajectory, *, weighted: bool) -> LabelledRecording:
-        """Every frame, labelled by a tracker; weighted by quality, or all alike."""
+    def labelled(self, tracked: TrackedTrajectory) -> LabelledRecording:
+        """Every frame, labelled by a tracker."""
         ...
 
     def simulated(self, simulated: TrackedTrajectory) -> LabelledRecording:
@@ -61,19 +57,6 @@ class Cloth(Protocol):
     ) -> Row:
         """The measures of one mesh: of a frame, with rest lengths, beside the default tracker."""
         ...
-
-
-def quality(
-    recording: Recording, mesh: ClothMesh, frame: int, positions: Float[np.ndarray, "vertices 3"]
-) -> float:
-    """What a label of any frame is worth, 0 to 1.
-
-    Each frame counts as if its action ended there: errors grow with the way, which begins at the
-    first mesh.
-    """
-    label = Label(frame, positions, positions)
-    (evidence,) = label_evidence(mesh, [label], recording)
-    return float(QualityModel.load(SHIPPED).quality(evidence))
 
 
 def corners(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:

@@ -30,7 +30,7 @@ from clothtrack.reconstruction.depth_input import from_cloud
 from clothtrack.recordings import Recording, observe, read_recording
 from clothtrack.tracking import TrackedTrajectory
 from real import robot_clouds
-from real.learned_cloth import KIND, Ask, corners, quality
+from real.learned_cloth import KIND, Ask, corners
 from real.robot_clouds import TOOL_CLEARANCE_M, RobotSequence
 
 FRAMES = range(6, 25)
@@ -101,15 +101,10 @@ class Napkin:
             size_m=self.size_m,
         )
 
-    def labelled(self, tracked: TrackedTrajectory, *, weighted: bool = False) -> LabelledRecording:
+    def labelled(self, tracked: TrackedTrajectory) -> LabelledRecording:
         """Every judged frame, labelled by the tracker."""
         positions = np.asarray(tracked.positions, np.float64)
-        labels = []
-        for frame in self.frames:
-            one = positions[frame]
-            weight = quality(self.recording, tracked.mesh, frame, one) if weighted else 1.0
-            if weight > 0.0:
-                labels.append(PseudoLabel(frame, one, weight))
+        labels = [PseudoLabel(frame, positions[frame]) for frame in self.frames]
         return label_recording(
             self.recording, tracked.mesh, labels, kind=KIND, cut_m=CUT_M,
             provenance={"sequence": self.name},
@@ -130,7 +125,7 @@ class Napkin:
                 continue
             depth, mask, camera = cloud_picture(points)
             shown = projected_faces(depth, mask, camera, positions[frame], faces, cut_m=CUT_M)
-            pictures.append(LabelledPicture(depth, mask, camera, shown, positions[frame], 1.0))
+            pictures.append(LabelledPicture(depth, mask, camera, shown, positions[frame]))
             frames.append(frame)
         return LabelledRecording(
             f"simulated_{self.name}", KIND, simulated.mesh, tuple(frames), tuple(pictures),

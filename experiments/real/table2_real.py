@@ -69,12 +69,7 @@ NAPKINS, HANGING = "napkins", "hanging"
 NONE, CONTROL, TRACKER = "none", "simulated_control", "tracker"
 JOINED = "default_and_simulated"
 """Labels of the default tracker and the control's pictures, learned from together."""
-MODES = {
-    "open_loop": ("open_loop", False),
-    "paper": ("paper", False),
-    "default": ("default", False),
-    "weighted": ("default", True),
-}
+MODES = ("open_loop", "paper", "default")
 LABELS = (NONE, *MODES, CONTROL, JOINED)
 UNTUNED = "untuned"
 """The control's dynamics: along the path with the cloth's parameters as they come."""
@@ -140,8 +135,7 @@ class Plan:
     def _labelled(self, cloth: Cloth, name: str) -> LabelledRecording:
         if name == CONTROL:
             return cloth.simulated(self.tracked(cloth, UNTUNED))
-        mode, weighted = MODES[name]
-        return cloth.labelled(self.tracked(cloth, mode), weighted=weighted)
+        return cloth.labelled(self.tracked(cloth, name))
 
     def all_pictures(self, cloths: Sequence[Cloth], weights: Path | None) -> list[Row]:
         """The rows of several recordings, in their order."""

@@ -26,8 +26,8 @@ def tracked_labels(task: Task) -> LabelledRecording:
     """Pseudo-labels of a finished run: the flat first frame, and the end of every action."""
     recording = read_recording(task.trajectory.recording)
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
-    chosen = [PseudoLabel(0, mesh.vertices.astype(np.float64), 1.0)]
-    chosen += [PseudoLabel(one.frame, np.asarray(one.vertices, np.float64), 1.0) for one in labels]
+    chosen = [PseudoLabel(0, mesh.vertices.astype(np.float64))]
+    chosen += [PseudoLabel(one.frame, np.asarray(one.vertices, np.float64)) for one in labels]
     return label_recording(recording, mesh, chosen, kind=task.trajectory.kind)
 
 
@@ -38,7 +38,7 @@ def true_labels(task: Task) -> LabelledRecording:
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
     where = material_map(truth.canonical, truth.faces, np.asarray(mesh.canonical, np.float64))
     chosen = [
-        PseudoLabel(frame, material_points(truth.at(frame), truth.faces, where), 1.0)
+        PseudoLabel(frame, material_points(truth.at(frame), truth.faces, where))
         for frame in (0, *(label.frame for label in labels))
     ]
     return label_recording(recording, mesh, chosen, kind=trajectory.kind)
@@ -54,12 +54,12 @@ def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabelledRecord
     """
     true = true_labels(task)
     rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
-    labels = [PseudoLabel(true.frames[0], true.pictures[0].positions, 1.0)]
+    labels = [PseudoLabel(true.frames[0], true.pictures[0].positions)]
     for frame, picture in zip(true.frames[1:], true.pictures[1:], strict=True):
         field = _smooth_field(np.asarray(true.mesh.canonical, np.float64), rng)
         field *= error_m / np.linalg.norm(field, axis=1).mean()
         moved = picture.positions + np.column_stack([field, np.zeros(len(field))])
-        labels.append(PseudoLabel(frame, moved, 1.0))
+        labels.append(PseudoLabel(frame, moved))
     recording = read_recording(task.trajectory.recording)
     return label_recording(recording, true.mesh, labels, kind=true.kind)
 
@@ -97,14 +97,13 @@ def label_mesh(task: Task, frame: int) -> ClothMesh | None:
 
 
 def digest_of(labels: Sequence[LabelledRecording]) -> str:
-    """Ten hexadecimal digits that change with any picture, label or weight."""
+    """Ten hexadecimal digits that change with any picture or label."""
     content = hashlib.sha256()
     for one in labels:
         content.update(f"{one.name} {one.kind} {one.frames}".encode())
         content.update(np.asarray(one.mesh.canonical, np.float32).tobytes())
         content.update(np.asarray(one.mesh.faces, np.int32).tobytes())
         for picture in one.pictures:
-            content.update(np.float32(picture.weight).tobytes())
             for array in (picture.depth_m, picture.positions):
                 content.update(np.asarray(array, np.float32).tobytes())
             content.update(picture.mask.tobytes())

@@ -103,7 +103,7 @@ def _labelled(outcome: Outcome, path: Path, kind: str, *, device: str) -> bool:
     recording = read_recording(outcome.recording)
     judged = judge_labels(tracked, recording, device=device)
     try:
-        chosen = pseudo_labels_of(tracked, judged, (), weighted=True, flat_weight=0.0)
+        chosen = pseudo_labels_of(tracked, judged, (), flat_start=False)
     except InvalidResultError as error:
         # An episode in which nothing promised a gain has no action, and so no label.
         logger.warning("no label: %s", error)
@@ -112,7 +112,6 @@ def _labelled(outcome: Outcome, path: Path, kind: str, *, device: str) -> bool:
     expected = {one.frame: with_first_mesh(one.expected_error_mm, origin) for one in judged}
     provenance = {
         "tracked": dict(tracked.provenance),
-        "weighted": True,
         EXPECTED: {str(label.frame): expected[label.frame] for label in chosen},
     }
     labelled = label_recording(recording, tracked.mesh, chosen, kind=kind, provenance=provenance)

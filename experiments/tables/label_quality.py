@@ -226,7 +226,7 @@ def single_evidence(labels: Sequence[Judged], model: QualityModel) -> str:
     return table(["evidence", "dev", "towels", "T-shirts", "10 / 50 / 90 %", "weight"], lines)
 
 
-def kept_rows(parts: dict[str, tuple[list[Judged], np.ndarray]], model: QualityModel) -> list[Row]:
+def kept_rows(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> list[Row]:
     """One row per label: evidence, expected and true error."""
     keys = ("variant", "recording", "kind", "split", "run", "action", "frame", "error_all_mm")
     return [
@@ -235,7 +235,6 @@ def kept_rows(parts: dict[str, tuple[list[Judged], np.ndarray]], model: QualityM
             **{key: one.row[key] for key in keys},
             "expected_error_mm": 1e3 * error,
             "cross_validated": split == FITTED_ON,
-            "label_quality": model.quality(one.evidence),
             "evidence": one.evidence.as_dict(),
             "provenance": one.row["provenance"],
         }
@@ -263,7 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ClothTrackError, FileNotFoundError) as error:
         sys.stderr.write(f"{error}\n")
         return 1
-    write_rows(kept_rows(parts, model), options.rows[0] / "label_quality.jsonl")
+    write_rows(kept_rows(parts), options.rows[0] / "label_quality.jsonl")
     say(f"## Label quality: rank correlation with the true error (target {TARGET})\n\n")
     say(f"{scores(parts)}\n\n{single_evidence(labels, model)}\n")
     return 0 if labels else 1

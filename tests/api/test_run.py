@@ -25,7 +25,9 @@ def test_a_saved_run_comes_back_as_it_was(run, recording, tmp_path):
     again = ct.load(str(tmp_path / "napkin.zarr"), recording)
     np.testing.assert_array_equal(again.positions, run.positions)
     # The rest shape is stored in single precision.
-    assert again.labels[0].quality == pytest.approx(run.labels[0].quality, rel=1e-5)
+    assert again.labels[0].expected_error_mm == pytest.approx(
+        run.labels[0].expected_error_mm, rel=1e-5
+    )
 
 
 def test_the_class_reads_a_run_as_the_function_does(run, recording, tmp_path):
@@ -36,11 +38,10 @@ def test_the_class_reads_a_run_as_the_function_does(run, recording, tmp_path):
     assert again.path == tmp_path / "napkin.zarr"
 
 
-def test_a_label_is_the_mesh_at_the_end_of_an_action_with_its_quality(run):
+def test_a_label_is_the_mesh_at_the_end_of_an_action_with_its_expected_error(run):
     (label,) = run.labels
     assert label.frame == run.actions[0].last_frame
     np.testing.assert_array_equal(label.positions, run.actions[0].positions_after_final_alignment)
-    assert 0 <= label.quality <= 1
     assert label.expected_error_mm > 0
     assert run.labels is run.labels  # judged once
 
@@ -200,15 +201,13 @@ def test_the_page_of_a_view_can_be_a_file(run, world, tmp_path):
 def test_labels_that_were_rejected_are_not_learned_from(run, recording, tmp_path):
     pytest.importorskip("torch")
     from clothtrack.evaluation import LabelReview, review_path
+    from clothtrack.reconstruction.data.pseudo_labels import read_labels
 
     copy = ct.Run.of(run, recording)
     copy.save(tmp_path / "napkin.zarr")
     LabelReview.blank(copy).decided(0, "rejected").save(review_path(copy.path))
-    with pytest.raises(ct.InvalidResultError, match="no label is left"):
-        ct.label(copy, tmp_path / "napkin.labels.npz", flat_weight=0.0)
-    with pytest.raises(ct.InvalidConfigError, match="flat_weight is 2"):
-        ct.label(copy, tmp_path / "napkin.labels.npz", flat_weight=2.0)
-    assert ct.label(copy, tmp_path / "napkin.labels.npz").exists()
+    labels = read_labels(ct.label(copy, tmp_path / "napkin.labels.npz"))
+    assert labels.frames == (0,)
 
 
 def test_a_mode_is_no_setting(recording):

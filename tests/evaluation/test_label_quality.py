@@ -19,7 +19,6 @@ from clothtrack.evaluation.label_quality import (
 PLANTED = QualityModel(
     math.log(0.001),
     {"silhouette_gap": 0.5, "cloud_gap_m": 0.8, "action": 0.3},
-    0.006,
 )
 
 
@@ -37,7 +36,6 @@ def test_a_planted_relation_is_found_again():
     assert found.log_error == pytest.approx(PLANTED.log_error, abs=1e-6)
     for name in EVIDENCE_NAMES:
         assert found.weights[name] == pytest.approx(PLANTED.weights.get(name, 0.0), abs=1e-6)
-    assert found.typical_error_m == pytest.approx(np.median(errors))
 
 
 def test_evidence_that_speaks_for_an_error_never_speaks_against_it():
@@ -52,23 +50,13 @@ def test_what_looks_worse_is_never_expected_to_be_better(model, name):
     for one in some_evidence(20, seed=3):
         worse = replace(one, **{name: 2 * one.as_dict()[name]})
         assert model.expected_error_m(worse) >= model.expected_error_m(one)
-        assert model.quality(worse) <= model.quality(one)
         if model.weights.get(name, 0.0) > 0:
             assert model.expected_error_m(worse) > model.expected_error_m(one)
-
-
-def test_a_typical_label_has_half_the_weight():
-    flat = QualityModel(math.log(0.006), {}, 0.006)
-    (one,) = some_evidence(1)
-    assert flat.quality(one) == pytest.approx(0.5)
-    bad = QualityModel(math.log(0.6), {}, 0.006)
-    assert bad.quality(one) == pytest.approx(1e-4, rel=1e-3)
 
 
 def test_unknown_evidence_makes_an_unknown_error_only_where_it_counts():
     (one,) = some_evidence(1)
     assert math.isnan(PLANTED.expected_error_m(replace(one, cloud_gap_m=math.nan)))
-    assert math.isnan(PLANTED.quality(replace(one, cloud_gap_m=math.nan)))
     same = replace(one, mesh_gap_m=math.nan)
     assert PLANTED.expected_error_m(same) == PLANTED.expected_error_m(one)
     evidence = [*some_evidence(50), replace(one, cloud_gap_m=math.nan)]
@@ -110,7 +98,6 @@ def test_another_file_is_no_model(tmp_path):
         ({"weights": {"action": -0.1}}, "weights.action is -0.1"),
         ({"weights": {"beauty": 0.1}}, "beauty"),
         ({"log_error": math.nan}, "log_error"),
-        ({"typical_error_m": 0.0}, "typical_error_m"),
     ],
 )
 def test_a_model_that_is_not_monotone_is_refused(changes, word):

@@ -170,7 +170,6 @@ def test_json_has_every_name_and_no_nan(recording):
     assert row["chamfer_surface"] is None
     (label,) = one["labels"]
     assert (label["action"], label["frame"]) == (0, 1)
-    assert 0.0 < label["label_quality"] < 1.0
     assert label["expected_error_mm"] > 0.0
     assert "silhouette_gap" in label["evidence"]
 
@@ -181,14 +180,13 @@ def test_a_label_is_judged_alike_with_and_without_truth_and_worse_off_its_cloud(
     (right,) = known.labels
     (pushed,) = evaluate(tracked(TRUE[1] + [0.01, 0.0, 0.0]), recording).labels
     assert pushed.expected_error_mm > right.expected_error_mm
-    assert pushed.label_quality < right.label_quality
 
 
 def test_the_table_has_a_line_per_row_and_says_its_units(recording, truth):
     known, unknown = (evaluate(tracked(TRUE[1]), recording, one) for one in (truth, None))
     head, *lines, legend = table([known, unknown]).splitlines()
     assert len(lines) == 4
-    for word in ("Ch.PC", "floor", "visible", "hidden", "strain", "cross", "expect", "quality"):
+    for word in ("Ch.PC", "floor", "visible", "hidden", "strain", "cross", "expect"):
         assert word in head
     assert [line.split()[2] for line in lines] == ["before", "after"] * 2
     assert lines[2].split()[6:10] == ["-"] * 4

@@ -21,7 +21,7 @@ def action(spread_m):
 
 
 def label(expected_mm):
-    return LabelQuality(0, 1, expected_mm, 0.5, NO_EVIDENCE)
+    return LabelQuality(0, 1, expected_mm, NO_EVIDENCE)
 
 
 def test_the_mean_is_the_labels_and_the_spread_deals_it_out():

@@ -101,4 +101,4 @@ def test_the_command_fits_writes_and_prints(monkeypatch, tmp_path, capsys):
     rows = read_rows(tmp_path / "label_quality.jsonl")
     assert len(rows) == 48
     assert {row["cross_validated"] for row in rows if row["split"] == "dev"} == {True}
-    assert all(0.0 < row["label_quality"] < 1.0 and row["expected_error_mm"] > 0 for row in rows)
+    assert all(row["expected_error_mm"] > 0 for row in rows)

@@ -36,7 +36,7 @@ def labelled(folder, name, expected):
     depth = np.full((6, 8), 0.5)
     faces = np.zeros((6, 8), np.int32)
     pictures = tuple(
-        LabelledPicture(depth, depth > 0, camera, faces, mesh.vertices + 0.01 * frame, 0.5)
+        LabelledPicture(depth, depth > 0, camera, faces, mesh.vertices + 0.01 * frame)
         for frame in expected
     )
     provenance = {EXPECTED: {str(frame): mm for frame, mm in expected.items()}}
@@ -85,7 +85,6 @@ def test_labels_that_are_worse_than_the_network_are_left_out(labels, weights):
     ]
     mesh = chosen[1].mesh.vertices
     np.testing.assert_allclose(chosen[1].pictures[0].positions, mesh + 0.07, atol=1e-6)
-    assert chosen[1].pictures[0].weight == pytest.approx(0.5)
 
 
 def test_another_function_decides_otherwise(labels, weights):

@@ -51,18 +51,6 @@ def test_every_frame_that_is_judged_is_a_label_too(found):
     assert labelled.frames == (6, 7, 8)
     for picture in labelled.pictures:
         assert (picture.faces[picture.mask] >= 0).mean() > 0.95
-        assert picture.weight == 1.0
-    weighted = white.labelled(Tracked(white), weighted=True)
-    assert all(0.0 < picture.weight <= 1.0 for picture in weighted.pictures)
-
-
-def test_a_label_that_is_beside_its_cloud_weighs_less(found):
-    white = found["lift_white"]
-    off = Tracked(white)
-    off.positions = off.positions + np.array([0.04, 0.0, 0.0])
-    right = white.labelled(Tracked(white), weighted=True).pictures[0].weight
-    wrong = white.labelled(off, weighted=True)
-    assert not wrong.pictures or wrong.pictures[0].weight < right
 
 
 def test_the_control_has_the_cut_and_the_tool_and_as_many_points(found):

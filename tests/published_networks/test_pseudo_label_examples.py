@@ -27,12 +27,12 @@ def labelled():
     folded = np.column_stack([-np.abs(x), y, np.where(x > 0, 0.01, 0.004)])
     pictures = []
     flat = np.asarray(TOWEL.vertices) + (0.0, 0.0, 0.004)
-    for positions, weight in ((flat, 1.0), (folded, 0.4)):
+    for positions in (flat, folded):
         drawn = Rasteriser(TOWEL.faces, CAMERA).render(positions)
         seen = drawn.faces >= 0
         depth = np.where(seen, drawn.depth, 0.7).astype(np.float32)
         shown = projected_faces(depth, seen, CAMERA, positions, TOWEL.faces, cut_m=0.02)
-        pictures.append(LabelledPicture(depth, seen, CAMERA, shown, positions, weight))
+        pictures.append(LabelledPicture(depth, seen, CAMERA, shown, positions))
     return LabelledRecording("fold", "towel", TOWEL, (0, 1), tuple(pictures))
 
 
@@ -40,9 +40,8 @@ def test_labels_lead_from_pixels_to_the_tracked_material_point():
     examples = PseudoLabelExamples([labelled()], NETWORK, CONFIG)
     assert len(examples) == 2
     assert examples.groups == ["fold", "fold"]
-    for index, weight in enumerate((1.0, 0.4)):
+    for index in range(2):
         example = examples[index, 3]
-        assert example.weight == weight
         known = example.labelled
         assert known.mean() > 0.95
         gaps = np.linalg.norm(example.unit[known][:, None] - example.surface[None], axis=2)

@@ -182,23 +182,6 @@ def test_the_loss_does_not_care_which_look_alike_was_drawn(tmp_path, kind):
     np.testing.assert_allclose(losses, [losses[0]] * len(losses), rtol=1e-4)
 
 
-def test_labels_count_by_their_weight(tmp_path):
-    examples = examples_of(tmp_path, "tshirt", count=2)
-    pair = [examples[index, 0] for index in range(2)]
-    stage = canonicalisation_stage(TINY, "tshirt").eval()
-    both = completion_stage(stage.canonicaliser, "tshirt").eval()
-
-    def losses(*weights):
-        batch = collate(pair)
-        weighted = type(batch)(**{**batch.__dict__, "weights": torch.tensor(weights)})
-        with torch.no_grad():
-            return np.array([float(one(weighted)["loss"]) for one in (stage, both)])
-
-    first, second = losses(1.0, 0.0), losses(0.0, 1.0)
-    np.testing.assert_allclose(losses(3.0, 1.0), 0.75 * first + 0.25 * second, rtol=1e-5)
-    assert np.abs(first - second).min() > 1e-4
-
-
 def test_unlabelled_pixels_do_not_train(tmp_path):
     examples = examples_of(tmp_path, "tshirt", count=2)
     batch = collate([examples[index, 0] for index in range(2)])

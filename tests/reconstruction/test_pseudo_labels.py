@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import clothtrack as ct
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.evaluation.label_review import LabelReview
+from clothtrack.evaluation.label_selection import pseudo_labels_of
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
@@ -92,16 +92,16 @@ def recording(tmp_path):
     return read_recording(folder), (flat, folded())
 
 
-def labelled(recording, *, weights=(1.0, 0.4)):
+def labelled(recording):
     source, states = recording
-    labels = [PseudoLabel(n, p, w) for n, (p, w) in enumerate(zip(states, weights, strict=True))]
+    labels = [PseudoLabel(number, positions) for number, positions in enumerate(states)]
     return label_recording(source, TOWEL, labels, kind="towel", provenance={"mode": "default"})
 
 
 def test_a_frame_that_is_not_there_is_refused(recording):
     source, states = recording
     with pytest.raises(InvalidResultError, match="frame 7"):
-        label_recording(source, TOWEL, [PseudoLabel(7, states[0], 1.0)], kind="towel")
+        label_recording(source, TOWEL, [PseudoLabel(7, states[0])], kind="towel")
 
 
 @pytest.fixture
@@ -123,23 +123,15 @@ def tracked(recording):
 
 
 def test_the_verb_labels_what_was_tracked(recording, tracked, tmp_path, capsys):
-    """The first frame counts in full, the end of the action by its quality."""
+    """The first frame, and the end of the action."""
     source, (_, end) = recording
     tracked.save(tmp_path / "fold.zarr")
     words = ["label", str(tmp_path / "fold.zarr"), "--recordings", str(source.folder)]
     assert cli.main([*words, "--output", str(tmp_path / "labels"), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     found = read_labels(tmp_path / "labels" / "fold.labels.npz")
-    (judged,) = judge_labels(tracked, source)
-    assert row["weights"] == pytest.approx([1.0, judged.label_quality], rel=1e-5)
-    assert [one.weight for one in found.pictures] == row["weights"]
-    assert 0.0 < judged.label_quality < 1.0
-    assert found.frames == (0, 1)
+    assert tuple(row["frames"]) == found.frames == (0, 1)
     np.testing.assert_allclose(found.pictures[1].positions, end, atol=1e-6)
-    run = ct.load(tmp_path / "fold.zarr", source.folder)
-    plain = ct.label(run, tmp_path / "plain.labels.npz", weighted=False, flat_weight=0.0)
-    (only,) = read_labels(plain).pictures
-    assert only.weight == 1.0
 
 
 def test_the_verb_leaves_out_what_a_person_rejected(recording, tracked, tmp_path, capsys):
@@ -149,13 +141,13 @@ def test_the_verb_leaves_out_what_a_person_rejected(recording, tracked, tmp_path
     words = ["label", str(tmp_path / "fold.zarr"), "--recordings", str(source.folder)]
     words += ["--output", str(tmp_path / "labels")]
     assert cli.main(words) == 0
-    assert "1 labels, weights 1.00; 1 rejected in review left out" in capsys.readouterr().out
+    assert "1 labels; 1 rejected in review left out" in capsys.readouterr().out
     found = read_labels(tmp_path / "labels" / "fold.labels.npz")
     assert found.frames == (0,)
     assert found.provenance["rejected_actions"] == [0]
-    run = ct.load(tmp_path / "fold.zarr", source.folder)
+    (judged,) = judge_labels(tracked, source)
     with pytest.raises(InvalidResultError, match=r"no label is left \(1 of 1 rejected in review"):
-        ct.label(run, tmp_path / "none.labels.npz", flat_weight=0.0)
+        pseudo_labels_of(tracked, [judged], (0,), flat_start=False)
     (tmp_path / "fold.review.json").write_text("{}")
     assert cli.main(words) == 1
     assert "fold.review.json: not a review" in capsys.readouterr().err
@@ -174,7 +166,6 @@ def test_labels_come_back_from_the_disk(recording, tmp_path):
     np.testing.assert_array_equal(after.faces, before.faces)
     np.testing.assert_allclose(after.depth_m, np.where(before.mask, before.depth_m, 0.0), atol=1e-6)
     np.testing.assert_allclose(after.positions, before.positions, atol=1e-7)
-    assert after.weight == 0.4
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
@@ -270,12 +261,4 @@ def test_labels_of_another_version_are_refused(tmp_path):
     document = json.dumps({"format": "clothtrack-pseudo-labels", "version": 99}).encode()
     np.savez(path, document=np.frombuffer(document, np.uint8))
     with pytest.raises(InvalidResultError, match="99"):
-        read_labels(path)
-
-
-@pytest.mark.parametrize("weight", [-0.5, 2.0, float("nan")])
-def test_a_weight_that_is_no_share_is_refused(recording, tmp_path, weight):
-    path = tmp_path / "fold.labels.npz"
-    write_labels(labelled(recording, weights=(1.0, weight)), path)
-    with pytest.raises(InvalidResultError, match="weight of label 1"):
         read_labels(path)

@@ -13,7 +13,7 @@ from clothtrack.report.coloring import cloud_gaps, colorings, expected_errors, t
 
 def judged(*errors_mm):
     evidence = LabelEvidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
-    return [LabelQuality(k, 0, error, 0.5, evidence) for k, error in enumerate(errors_mm)]
+    return [LabelQuality(k, 0, error, evidence) for k, error in enumerate(errors_mm)]
 
 
 def test_a_visible_vertex_has_its_distance_to_the_cloud_a_hidden_one_has_none(tracked):

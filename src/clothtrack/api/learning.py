@@ -69,27 +69,24 @@ def label(
     output: Path | str,
     *,
     garment: Garment | None = None,
-    weighted: bool = True,
-    flat_weight: float = 1.0,
     device: str = "cpu",
     provenance: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write the pseudo-labels of a run, for `clothtrack finetune` (needs the extra [learn]).
 
-    Labels that were rejected (`view`) are left out.
+    The first frame and the end of every action, all alike. Labels that were rejected (`view`) or
+    that nothing was seen to judge by are left out.
 
     Args:
         run: what `track` or `load` returned, or NAME.zarr.
         output: file to write, NAME.labels.npz.
         garment: what it is, where the recording does not say or says otherwise.
-        weighted: weigh each label by its quality; otherwise all count alike.
-        flat_weight: weight of the first frame, before any action, 0 to 1; 0 leaves it out.
         device: "cpu" or "cuda:0", for visibility.
         provenance: stored with the labels, beside that of the run.
 
     Raises:
         InvalidResultError: the mesh has no canonical coordinates, or no label is left.
-        InvalidConfigError: what garment it is is not known, or the weight is not in 0..1.
+        InvalidConfigError: what garment it is is not known.
     """
     require_learning()
     from clothtrack.api.look import review_of
@@ -99,13 +96,11 @@ def label(
     from clothtrack.geometry.devices import quiet_warp
     from clothtrack.reconstruction.data.pseudo_labels import label_recording, write_labels
 
-    if not 0.0 <= flat_weight <= 1.0:
-        raise InvalidConfigError(f"flat_weight is {flat_weight}; it must be in 0..1")
     quiet_warp()
     run = load(run) if isinstance(run, Path | str) else run
     source, rejected = recording_of(run), review_of(run).rejected
     judged = judge_labels(run, source, device=device)
-    labels = pseudo_labels_of(run, judged, rejected, weighted=weighted, flat_weight=flat_weight)
+    labels = pseudo_labels_of(run, judged, rejected, flat_start=True)
     if run.mesh.canonical is None:
         raise InvalidResultError(
             f"{run.path or run.name}: its first mesh has no canonical coordinates; track the "
@@ -115,7 +110,6 @@ def label(
     stored = {
         **(provenance or {}),
         "tracked": dict(run.provenance),
-        "weighted": weighted,
         "rejected_actions": sorted(rejected),
     }
     write_labels(

@@ -48,20 +48,17 @@ class LabelFile:
     Attributes:
         labels: the file.
         frames: frames of the recording that have a label.
-        weights: of the labels.
         rejected: how many were left out after a review.
     """
 
     labels: Path
     frames: tuple[int, ...]
-    weights: tuple[float, ...]
     rejected: int
 
     def text(self) -> str:
         """Return one line."""
-        text = " ".join(f"{weight:.2f}" for weight in self.weights)
         left_out = f"; {self.rejected} rejected in review left out" if self.rejected else ""
-        return f"{self.labels}   {len(self.weights)} labels, weights {text}{left_out}"
+        return f"{self.labels}   {len(self.frames)} labels{left_out}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the same as JSON holds it."""
@@ -119,9 +116,8 @@ def label_many(
     found = []
     for file in (files[path] for path in paths):
         labels = read_labels(file)
-        weights = tuple(picture.weight for picture in labels.pictures)
         rejected = len(labels.provenance["rejected_actions"])
-        found.append(LabelFile(file, tuple(labels.frames), weights, rejected))
+        found.append(LabelFile(file, tuple(labels.frames), rejected))
     return Many(tuple(found))
 
 

@@ -42,7 +42,6 @@ class Label:
         action: number of the action, from 0.
         frame: frame of the recording.
         positions: vertices after the final alignment [m].
-        quality: weight for training in 0..1; one half is typical of the benchmark.
         expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
         vertex_errors_m: the error to expect of each vertex [m], larger where the mesh contradicts
             what was seen.
@@ -52,14 +51,13 @@ class Label:
     def __repr__(self) -> str:
         """One line, without the positions."""
         return (
-            f"Label(action={self.action}, frame={self.frame}, quality={self.quality:.2f}, "
+            f"Label(action={self.action}, frame={self.frame}, "
             f"expected_error_mm={self.expected_error_mm:.1f}, {len(self.positions)} vertices)"
         )
 
     action: int
     frame: int
     positions: Float[np.ndarray, "vertices 3"]
-    quality: float
     expected_error_mm: float
     vertex_errors_m: Float[np.ndarray, " vertices"]
 
@@ -135,7 +133,6 @@ class Run(TrackedTrajectory):
                 judged.action,
                 judged.frame,
                 action.positions_after_final_alignment,
-                judged.label_quality,
                 judged.expected_error_mm,
                 expected_vertex_errors(action, judged),
             )

@@ -1,4 +1,4 @@
-"""How good a label is, told without the truth: the error to expect, and a weight from it.
+"""How good a label is, told without the truth: the error to expect.
 
 The logarithm of the error is a sum over the evidence, each piece as a logarithm and with a weight
 that is never negative: what looks worse can only make the expected error larger. The weights come
@@ -28,7 +28,7 @@ from clothtrack.evaluation.label_evidence import (
 from clothtrack.evaluation.local_misfit import LocalMisfit
 from clothtrack.evaluation.places import place_of
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.bounds import Bounds, Checked, Positive
+from clothtrack.files.bounds import Bounds, Checked
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -70,13 +70,11 @@ class QualityModel(Checked):
     Attributes:
         log_error: logarithm of the error [m] of a label that nothing speaks against.
         weights: by name of the evidence, 0 or more; a name that is missing has none.
-        typical_error_m: median error of the labels it was fitted on [m]; has quality one half.
         provenance: which labels these were, of which commit, and how well it foretold others.
     """
 
     log_error: Annotated[float, Bounds()]
     weights: Mapping[str, float]
-    typical_error_m: Positive
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -101,14 +99,6 @@ class QualityModel(Checked):
         parts = [w * terms[EVIDENCE_NAMES.index(n)] for n, w in self.weights.items() if w > 0]
         return math.exp(self.log_error + sum(parts))
 
-    def quality(self, evidence: LabelEvidence) -> float:
-        """A weight in 0..1: 1 / (1 + (expected / typical error)^2); NaN as the expected error.
-
-        One half for a typical label, and for large errors the weight that least squares asks for,
-        which falls with the square of the error.
-        """
-        return 1.0 / (1.0 + (self.expected_error_m(evidence) / self.typical_error_m) ** 2)
-
     def save(self, path: Path) -> None:
         """Write the model as JSON, whole or not at all.
 
@@ -120,7 +110,6 @@ class QualityModel(Checked):
             "version": FORMAT_VERSION,
             "log_error": self.log_error,
             "weights": dict(self.weights),
-            "typical_error_m": self.typical_error_m,
             "provenance": dict(self.provenance),
         }
         with atomic_file(path) as temporary:
@@ -137,7 +126,7 @@ class QualityModel(Checked):
             document = json.loads(path.read_text(encoding="utf-8"))
             stored = document["format"], document["version"]
             if stored == (FORMAT, FORMAT_VERSION):
-                keys = ("log_error", "weights", "typical_error_m", "provenance")
+                keys = ("log_error", "weights", "provenance")
                 return cls(**{key: document[key] for key in keys})
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InvalidResultError(
@@ -188,7 +177,6 @@ class LabelQuality:
         action: number of the action, from 0.
         frame: frame of the recording.
         expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
-        label_quality: weight for training in 0..1; one half is typical of the benchmark.
         evidence: what it follows from.
         misplaced: the part of the cloth that lies away from what was seen.
         idle_pickers: pickers of the action that held no cloth.
@@ -197,7 +185,6 @@ class LabelQuality:
     action: int
     frame: int
     expected_error_mm: float
-    label_quality: float
     evidence: LabelEvidence
     misplaced: Misplaced = Misplaced()
     idle_pickers: tuple[str, ...] = ()
@@ -231,7 +218,6 @@ def judge_labels(
             one.action - 1,
             label.frame,
             1e3 * model.expected_error_m(one),
-            model.quality(one),
             one,
             _misplaced(label.vertices, one.misfit, recording),
             _idle_pickers(tracked, recording, one.action - 1),
@@ -337,7 +323,6 @@ def fit_quality(
     return QualityModel(
         log_error=float(logs.mean() - terms.mean(axis=0) @ weights),
         weights=dict(zip(EVIDENCE_NAMES, weights.tolist(), strict=True)),
-        typical_error_m=float(np.median(errors)),
         provenance=provenance or {},
     )
 

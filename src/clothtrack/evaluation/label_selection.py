@@ -1,6 +1,7 @@
-"""Which tracked meshes become labels, and with which weight."""
+"""Which tracked meshes become labels."""
 
 import logging
+import math
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
@@ -19,20 +20,28 @@ def pseudo_labels_of(
     judged: Sequence[LabelQuality],
     rejected: Collection[int],
     *,
-    weighted: bool,
-    flat_weight: float,
+    flat_start: bool,
 ) -> "list[PseudoLabel]":
-    """The first frame and the end of every action; not what is rejected or nobody can judge."""
+    """Return the end of every action that is neither rejected nor impossible to judge.
+
+    Args:
+        tracked: what the tracker left.
+        judged: its labels, judged.
+        rejected: actions whose labels were rejected in a review, from 0.
+        flat_start: take the first frame, before any action, too.
+
+    Raises:
+        InvalidResultError: no label is left.
+    """
     from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
 
     chosen = []
-    if flat_weight > 0.0:
-        chosen.append(PseudoLabel(int(tracked.frames[0]), tracked.positions[0], flat_weight))
+    if flat_start:
+        chosen.append(PseudoLabel(int(tracked.frames[0]), tracked.positions[0]))
     for action, quality in zip(tracked.actions, judged, strict=True):
         if quality.action in rejected:
             continue
-        weight = quality.label_quality if weighted else 1.0
-        if not weight > 0.0:
+        if math.isnan(quality.expected_error_mm):
             logger.warning(
                 "%s: frame %d has no label: nothing was seen to judge it by",
                 tracked.name,
@@ -40,7 +49,7 @@ def pseudo_labels_of(
             )
             continue
         positions = action.positions_after_final_alignment
-        chosen.append(PseudoLabel(quality.frame, positions, float(weight)))
+        chosen.append(PseudoLabel(quality.frame, positions))
     if not chosen:
         raise InvalidResultError(
             f"{tracked.name}: no label is left ({len(rejected)} of {len(judged)} rejected in "

@@ -367,20 +367,19 @@ def table(evaluations: Iterable[Evaluation]) -> str:
 _HEADER = (
     f"{'recording':22} {'act':>3} {'TTO2':6} {'Ch.PC':>7} {'floor':>7} {'rms':>6}  "
     f"{'error':>6} {'visible':>7} {'hidden':>6} {'p95':>6} "
-    f"{'strain':>7} {'cross':>6} {'close':>6} {'below':>6} {'coverage':>9}  "
-    f"{'expect':>6} {'quality':>7}"
+    f"{'strain':>7} {'cross':>6} {'close':>6} {'below':>6} {'coverage':>9}  {'expect':>6}"
 )
 _LEGEND = (
     "Ch.PC, floor [1e-4 m^2]; rms and vertex errors against the truth [mm], '-' without truth; "
     "strain, below [%]; coverage [cm^2]; TTO2: before or after the final alignment; expect: error "
-    "of the label to expect from what is observed [mm], quality: its weight, 0 to 1"
+    "of the label to expect from what is observed [mm]"
 )
 
 
 def _judged(label: LabelQuality | None) -> str:
     if label is None or np.isnan(label.expected_error_mm):
-        return f"{'-':>6} {'-':>7}"
-    return f"{label.expected_error_mm:6.1f} {label.label_quality:7.2f}"
+        return f"{'-':>6}"
+    return f"{label.expected_error_mm:6.1f}"
 
 
 def _percent(share: float) -> str:

@@ -46,7 +46,6 @@ _INDEX_COLUMNS = (
     ("report", "Name of the recording"),
     ("verdict", "Of the worst label: trust it, look at it, or reject it"),
     ("expected error", "Mean vertex error to expect of the worst label, without the truth"),
-    ("quality", "Weight of the worst label in training, 0 to 1; one half is typical"),
     ("distance", "Root mean square of visible mesh to observed points and back, at the last label"),
     ("labels", "What a person decided"),
 )
@@ -61,14 +60,12 @@ class TrajectorySummary:
         thumbnail: the mesh over the picture at the last label, as a data address.
         verdict: of its worst label.
         expected_error_mm: largest expected error of its labels [mm]; NaN if unknown.
-        quality: smallest quality of its labels, 0 to 1; NaN if unknown.
         rms_mm: distance of visible mesh and observed points at the last label [mm]; NaN without.
     """
 
     thumbnail: str
     verdict: Verdict
     expected_error_mm: float
-    quality: float
     rms_mm: float
 
 
@@ -228,7 +225,7 @@ def _index_row(entry: IndexEntry) -> str:
     said = entry.summary
     if said is None:
         return (
-            f'<tr><td></td><th>{_link(entry)}</th><td colspan="4">{escape(entry.description)}</td>'
+            f'<tr><td></td><th>{_link(entry)}</th><td colspan="3">{escape(entry.description)}</td>'
             f"<td>{escape(entry.verdicts)}</td></tr>"
         )
     picture = f'<img alt="" src="{said.thumbnail}">'
@@ -238,13 +235,12 @@ def _index_row(entry: IndexEntry) -> str:
         f"{value:.{digits}f}{unit}" if np.isfinite(value) else ""
         for value, digits, unit in (
             (said.expected_error_mm, 1, " mm"),
-            (said.quality, 2, ""),
             (said.rms_mm, 1, " mm"),
         )
     ]
     cells = "".join(
         f'<td title="{escape(help_, quote=True)}">{number}</td>'
-        for number, (_, help_) in zip(numbers, _INDEX_COLUMNS[3:6], strict=True)
+        for number, (_, help_) in zip(numbers, _INDEX_COLUMNS[3:5], strict=True)
     )
     return (
         f"<tr><td>{picture}</td><th>{_link(entry)}<small>{escape(entry.description)}</small></th>"
@@ -277,6 +273,5 @@ def summary_of(tracked: TrackedTrajectory, recording: Recording) -> TrajectorySu
         jpeg_uri(small, quality=80),
         verdict,
         1e3 * verdict.expected_error_m,
-        min((label.label_quality for label in judged), default=float("nan")),
         float("nan") if observation is None else mesh_distance_mm(tracked, step, observation),
     )

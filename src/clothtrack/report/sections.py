@@ -272,9 +272,6 @@ _EXPECTED_HELP = (
     "The mean distance between a vertex and where it really is, hidden ones included, that is "
     "usual for labels that look like this one. Estimated from what was observed, without the truth."
 )
-_QUALITY_HELP = (
-    "The weight of this label in training, 0 to 1; one half is typical of the benchmark's labels."
-)
 
 
 def review_card(
@@ -368,8 +365,7 @@ def _quality_cell(judged: LabelQuality) -> str:
     found = verdict(judged)
     return (
         f'<b class="word" data-word="{found.word}" title="{_word_help(found)}">{found.word}</b> '
-        f'<span title="{_EXPECTED_HELP}">expected error {_error(judged)}</span>, '
-        f'<span title="{_QUALITY_HELP}">quality {judged.label_quality:.2f}</span>'
+        f'<span title="{_EXPECTED_HELP}">expected error {_error(judged)}</span>'
     )
 
 

@@ -211,7 +211,7 @@ def canonical_loss(
     targets: Float[Tensor, "pixels 3"],
     image_of_pixel: Int[Tensor, " pixels"],
     symmetries: Float[Tensor, "symmetries 3"],
-    weights: Float[Tensor, " images"],
+    images: int,
 ) -> Float[Tensor, ""]:
     """Cross entropy, for each picture against the labelling that suits the network best [nat].
 
@@ -223,12 +223,11 @@ def canonical_loss(
         targets: true coordinates in the unit cube.
         image_of_pixel: which picture a pixel belongs to.
         symmetries: signs about the centre (`canonical_frame.symmetries`).
-        weights: of each picture; 0 leaves it out.
+        images: how many pictures; one without pixels is left out.
     """
-    losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, len(weights))
-    shown = torch.bincount(image_of_pixel, minlength=len(weights)) > 0
-    weights = weights * shown
-    return (losses.amin(dim=1) * weights).sum() / weights.sum().clamp(min=1e-12)
+    losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, images)
+    shown = torch.bincount(image_of_pixel, minlength=images) > 0
+    return (losses.amin(dim=1) * shown).sum() / shown.sum().clamp(min=1)
 
 
 def _neighbours(place: Tensor, scale: float, size: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -124,7 +124,6 @@ class Example:
         positions: where these points are, in the world [m].
         volume: places in the unit cube.
         winding: winding number of the canonical garment there.
-        weight: how much the label is worth, 0 to 1.
     """
 
     depth: Float32[np.ndarray, "height width"]
@@ -136,7 +135,6 @@ class Example:
     positions: Float32[np.ndarray, "surface 3"]
     volume: Float32[np.ndarray, "volume 3"]
     winding: Float32[np.ndarray, " volume"]
-    weight: float
 
 
 def draw_example(
@@ -188,7 +186,6 @@ def draw_example(
         positions=positions.astype(np.float32),
         volume=volume,
         winding=garment.pool.values[asked],
-        weight=picture.weight,
     )
 
 
@@ -229,7 +226,6 @@ class Batch:
         positions: where these are, in the world [m].
         volume: places in the unit cube.
         winding: winding number there.
-        weights: of the labels, 0 to 1.
     """
 
     depth: Float[Tensor, "batch 1 height width"]
@@ -241,7 +237,6 @@ class Batch:
     positions: Float[Tensor, "batch surface 3"]
     volume: Float[Tensor, "batch volume 3"]
     winding: Float[Tensor, "batch volume"]
-    weights: Float[Tensor, " batch"]
 
     def to(self, device: str) -> "Batch":
         """The same on another device."""
@@ -270,5 +265,4 @@ def collate(examples: Sequence[Example]) -> Batch:
         positions=stacked("positions"),
         volume=stacked("volume"),
         winding=stacked("winding"),
-        weights=torch.tensor([one.weight for one in examples], dtype=torch.float32),
     )

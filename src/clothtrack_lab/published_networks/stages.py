@@ -60,7 +60,7 @@ class CanonicalisationStage(Stage):
         """The loss [nat] of a batch, over the pixels that have a label."""
         pixels, unit = batch.pixels[batch.labelled], batch.unit[batch.labelled]
         logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
-        loss = canonical_loss(logits, unit, pixels[:, 0], self.signs, batch.weights)
+        loss = canonical_loss(logits, unit, pixels[:, 0], self.signs, len(batch.depth))
         return {"loss": loss}
 
     def measure(self, batch: Batch) -> Mapping[str, Tensor]:
@@ -140,9 +140,7 @@ class CompletionStage(Stage):
         moved = self.warp(volume, surface)
         of_winding = ((found - winding) ** 2).mean(dim=1)
         of_warp = (((moved - wanted) / RESIDUAL_M) ** 2).sum(dim=2).mean(dim=1)
-        total = batch.weights.sum().clamp(min=1e-12)
-        winding_loss = (batch.weights * of_winding).sum() / total
-        warp_loss = (batch.weights * of_warp).sum() / total
+        winding_loss, warp_loss = of_winding.mean(), of_warp.mean()
         return {
             "loss": winding_loss + warp_loss,
             "winding_loss": winding_loss,

@@ -19,7 +19,6 @@ class LabelledPicture:
         camera: that took the picture.
         faces: the face of the mesh that each pixel shows; -1 where none does.
         positions: vertices in the world [m], z up.
-        weight: how much the label is worth, 0 to 1.
     """
 
     depth_m: Float[np.ndarray, "height width"]
@@ -27,7 +26,6 @@ class LabelledPicture:
     camera: Camera
     faces: Int[np.ndarray, "height width"]
     positions: Float[np.ndarray, "vertices 3"]
-    weight: float = 1.0
 
     def mirrored(self) -> "LabelledPicture":
         """The same seen in a mirror: the world's x has the other sign."""
@@ -44,7 +42,6 @@ class LabelledPicture:
             camera,
             self.faces[:, ::-1],
             self.positions * (-1.0, 1.0, 1.0),
-            self.weight,
         )
 
     def turned(self, angle: float) -> "LabelledPicture":

@@ -47,12 +47,10 @@ class PseudoLabel:
     Attributes:
         frame: of the recording.
         positions: tracked vertices in the world [m].
-        weight: how much the label is worth, 0 to 1.
     """
 
     frame: int
     positions: Float[np.ndarray, "vertices 3"]
-    weight: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +89,7 @@ def label_recording(
     Args:
         recording: what was tracked.
         mesh: the first mesh, with canonical coordinates.
-        labels: tracked meshes and their worth.
+        labels: tracked meshes.
         kind: "towel", "tshirt" or "trousers".
         cut_m: pixels further than this [m] from the tracked mesh have no label.
         segmenter: finds the cloth; the recording's own way by default.
@@ -111,7 +109,7 @@ def label_recording(
         depth, mask, camera = cloth_picture(recording, recording.frames[label.frame], segmenter)
         positions = np.asarray(label.positions, np.float64)
         faces = projected_faces(depth, mask, camera, positions, mesh.faces, cut_m=cut_m)
-        pictures.append(LabelledPicture(depth, mask, camera, faces, positions, label.weight))
+        pictures.append(LabelledPicture(depth, mask, camera, faces, positions))
     frames = tuple(label.frame for label in labels)
     return LabelledRecording(
         recording.name, kind, mesh, frames, tuple(pictures), dict(provenance or {})
@@ -196,7 +194,6 @@ def write_labels(labelled: LabelledRecording, path: Path) -> None:
         "name": labelled.name,
         "kind": labelled.kind,
         "frames": list(labelled.frames),
-        "weights": [one.weight for one in labelled.pictures],
         "cameras": [_camera_document(one.camera) for one in labelled.pictures],
         "provenance": dict(labelled.provenance),
     }
@@ -252,12 +249,7 @@ def _labelled(arrays: Mapping[str, np.ndarray]) -> LabelledRecording:
         depth, faces = arrays[f"{number}/depth_m"], arrays[f"{number}/faces"]
         positions = arrays[f"{number}/positions"].astype(np.float64)
         _check_picture(depth, faces, positions, mesh)
-        weight = float(document["weights"][number])
-        if not 0.0 <= weight <= 1.0:
-            raise ValueError(f"the weight of label {number} is {weight}")
-        pictures.append(
-            LabelledPicture(depth, depth > 0, _camera_of(camera), faces, positions, weight)
-        )
+        pictures.append(LabelledPicture(depth, depth > 0, _camera_of(camera), faces, positions))
     known = len(_ARRAYS) + len(_OF_PICTURES) * len(pictures)
     if len(arrays) != known:
         # The digests would not be asked for if theirs had lost its name.

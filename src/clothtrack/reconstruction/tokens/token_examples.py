@@ -234,7 +234,6 @@ def token_example(
         neighbours=garment.neighbours,
         conventional=_conventional(places, garment),
         size_m=size_m,
-        weight=picture.weight,
     )
 
 

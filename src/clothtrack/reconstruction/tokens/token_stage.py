@@ -58,7 +58,7 @@ class TokenExample:
         labellings, is_labelling, neighbours: of the garment (`GarmentTokens`).
         conventional: how much each labelling lies as the flat garment does.
         size_m: the unit of length [m].
-        weight: how much the label is worth, 0 to 1.
+        weight: 0 where the picture shows no cloth, otherwise 1.
     """
 
     height: Float[np.ndarray, "rows columns"]
