@@ -191,8 +191,8 @@ def test_the_table_has_a_line_per_row_and_says_its_units(recording, truth):
     assert [line.split()[2] for line in lines] == ["before", "after"] * 2
     assert lines[2].split()[6:10] == ["-"] * 4
     # What is judged is the label, the mesh after the final alignment.
-    assert lines[0].split()[-2:] == ["-", "-"]
-    assert 0.0 < float(lines[1].split()[-1]) < 1.0
+    assert lines[0].split()[-1] == "-"
+    assert float(lines[1].split()[-1]) > 0.0
     assert "m^2" in legend
     assert "[mm]" in legend
 

@@ -150,6 +150,17 @@ def test_a_print_that_was_covered_is_recognised_where_it_has_turned_to(tmp_path)
     assert (off < 2.0).mean() > 0.9
 
 
+def test_a_print_that_is_covered_twice_comes_back_once(tmp_path):
+    """Recognized in frame 5 and lost again in frame 7, it is looked for in frame 12."""
+    masks = np.ones((14, HEIGHT, WIDTH), bool)
+    masks[[2, 3, 4, *range(7, 12)], :, : WIDTH // 2] = False
+    found = followed(recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 14, masks=masks))
+    assert all((np.diff(one.numbers) > 0).all() for one in found)
+    covered = np.setdiff1d(found[6].numbers, found[7].numbers)
+    # Those that have others beside them; the rest is recognized later.
+    assert np.isin(covered, found[12].numbers).mean() > 0.6
+
+
 def weave(shift_px=(0.0, 0.0)):
     """A brightness picture that repeats every 11 pixels, moved by so many."""
     across, down = np.meshgrid(np.arange(WIDTH) - shift_px[0], np.arange(HEIGHT) - shift_px[1])

@@ -310,11 +310,11 @@ class _Follower:
         for lost in due:
             found = lost.without(self._points).found_in(picture, self._points)
             back = back.together_with(found)
-        if not len(back):
-            return
-        points = self._points.together_with(back)
-        near = points.near_each_other(self._positions(points, picture))
-        self._points = points[near | ~points.are_in(back)]
+        if len(back):
+            points = self._points.together_with(back)
+            near = points.near_each_other(self._positions(points, picture))
+            self._points = points[near | ~points.are_in(back)]
+        # A point that was recognized goes, too: lost again, it must not be found twice.
         left = [lost.without(self._points) for lost in self._lost]
         self._lost = [lost for lost in left if len(lost.points)]
 
