@@ -5,7 +5,7 @@ ways: by the network alone (what those episodes planned from), by the tracker th
 action from the network's mesh before it, by the tracker that follows every action from the first
 mesh, by whichever of the first and the last lies nearer to its cloud, which needs no truth, and by
 the tracker that goes backwards from the network's mesh of the last picture: no belief to plan from,
-but labels (`clothtrack improve`). Only errors are measured here; what a belief is worth to a
+but labels (`experiments improve`). Only errors are measured here; what a belief is worth to a
 planner, `flattening.py` tells.
 
     python experiments flattening --out OUT --kind tshirt --film --only pretrained --weights FILE

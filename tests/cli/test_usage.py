@@ -34,8 +34,6 @@ def helped(verb, capsys):
             ["calibrate_camera", "rec"],
             "did you mean calibrate-camera?",
         ),
-        (["verify", "x"], "verify is no verb any more; did you mean clothtrack inspect PATH...?"),
-        (["bench", "x"], "did you mean clothtrack simulate OUT --benchmark all?"),
         (["track", "--output", "x"], "no recordings given; name at least one"),
         (["qqq"], "qqq is no verb; clothtrack --help lists the verbs"),
         (["--json"], "--json is no option; options stand behind the verb"),

@@ -32,15 +32,6 @@ def test_what_differs_is_named_with_both_values(tmp_path):
     assert json.loads(path.read_text())["seed"] == 1
 
 
-def test_a_folder_of_an_earlier_version_goes_on_without_the_settings_that_are_gone(tmp_path):
-    path, now = tmp_path / "asked.json", {"config": {"planner": {"strip_m": 0.06}}}
-    before = {"config": {"planner": {"strip_m": 0.06, "finalists": 10}, "materials": 1}}
-    require_same(path, before, now)
-    before["config"]["materials"] = 3
-    with pytest.raises(InvalidConfigError, match=r"another config\.materials \(3, now null\)"):
-        require_same(path, before, now)
-
-
 def test_a_damaged_file_is_told(tmp_path):
     path = tmp_path / "asked.json"
     path.write_text("{")

@@ -67,15 +67,6 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """The order of `--help`; a verb that is in no group comes last."""
 
-_GONE: Mapping[str, str] = {
-    "verify": "clothtrack inspect PATH...",
-    "bench": "clothtrack simulate OUT --benchmark all",
-    "calibrate-hand-eye": "clothtrack calibrate-camera RECORDING --robot-poses POSES.csv",
-    "train-dynamics": "clothtrack_lab.train_dynamics(OUT) in Python",
-    "improve": "python experiments improve",
-}
-"""What to type instead of verbs that there were."""
-
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that numeric libraries read when they are loaded. The operations here are small, and
 threads wait for each other more than they compute: on a busy machine several times as long."""
@@ -109,7 +100,7 @@ def _begin(words: Sequence[str]) -> int:
     if words[:1] in (["-h"], ["--help"]):
         say(overview(VERBS, GROUPS))
         return 0
-    function, chosen = parse(words, VERBS, _GONE)
+    function, chosen = parse(words, VERBS)
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     with logged(verbose=chosen.pop("verbose")):

@@ -41,20 +41,19 @@ _HELP_INDENT = 8
 
 
 def parse(
-    words: Sequence[str], verbs: Mapping[str, Callable[[], Function]], gone: Mapping[str, str]
+    words: Sequence[str], verbs: Mapping[str, Callable[[], Function]]
 ) -> tuple[Function, dict[str, Any]]:
     """The function of the verb that the words ask for, and its arguments.
 
     Args:
         words: after `clothtrack`.
         verbs: what loads the functions, by the names of their verbs.
-        gone: what to type instead of verbs that there were.
 
     Raises:
         WrongUsageError: there is no such verb or option, or one is missing or has another value.
         SystemExit: help was asked for, and written.
     """
-    function = _known(words, verbs, gone)
+    function = _known(words, verbs)
     drawn = StringIO()
     try:
         with redirect_stderr(drawn):
@@ -115,15 +114,11 @@ def meant(word: str, known: Sequence[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
-def _known(
-    words: Sequence[str], verbs: Mapping[str, Callable[[], Function]], gone: Mapping[str, str]
-) -> Function:
+def _known(words: Sequence[str], verbs: Mapping[str, Callable[[], Function]]) -> Function:
     """The function of a verb, whose options are all known."""
     if not words:
         raise WrongUsageError("say what to do: clothtrack VERB; clothtrack --help lists the verbs")
     verb = words[0]
-    if verb in gone:
-        raise WrongUsageError(f"{verb} is no verb any more; did you mean {gone[verb]}?")
     if verb not in verbs:
         kind = "option; options stand behind the verb" if verb.startswith("-") else "verb"
         guess = meant(verb, list(verbs)) or "; clothtrack --help lists the verbs"

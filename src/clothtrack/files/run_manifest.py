@@ -11,26 +11,6 @@ from clothtrack.files.atomic_write import storage, write_file
 _LONGEST = 40
 """Characters of a value that a message shows."""
 
-_RETIRED = {
-    "planner.finalists": None,
-    "planner.within_picture": True,
-    "materials": 1,
-    "perception.views": 1,
-    "perception.refinement": None,
-    "perception.tracker": None,
-    "solver": None,
-    "crumpling.action": None,
-    "crumpling.smoothed": 0.3,
-    "crumpling.smoothing_m": 0.02,
-    "crumpling.hang_m": [0.03, 0.25],
-    "crumpling.hang_s": 0.1,
-    "crumpling.lift_speed": 1.2,
-    "crumpling.rest_speed": 0.1,
-    "simulator.together": None,
-}
-"""Settings that folders of earlier versions name, and the value that means what this
-version does. None: any; it is a constant now."""
-
 
 def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings as they are when they come back from JSON."""
@@ -86,19 +66,9 @@ def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, s
     if isinstance(stored, Mapping) and isinstance(asked, Mapping):
         for key in sorted(set(stored) | set(asked)):
             inner = f"{name}.{key}" if name else key
-            if key not in asked and _is_retired(inner, stored[key]):
-                continue
             yield from _differing(stored.get(key), asked.get(key), inner)
     elif stored != asked:
         yield name, _in_short(stored), _in_short(asked)
-
-
-def _is_retired(name: str, value: Any) -> bool:
-    """Return whether a stored setting is gone, and had the value that is now constant."""
-    for retired, kept in _RETIRED.items():
-        if name == retired or name.endswith(f".{retired}"):
-            return kept is None or value == kept
-    return False
 
 
 def _in_short(value: Any) -> str:

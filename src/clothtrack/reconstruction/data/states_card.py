@@ -28,7 +28,7 @@ def dataset_card(states: StateSet) -> str:
         f"# Crumpled states: {states.kind}",
         _counts(shards, document),
         _recipes(shards),
-        _soundness(shards, document),
+        _soundness(shards),
         _coverage(shards),
         _cost(document),
         _origin(document),
@@ -67,12 +67,10 @@ def _recipes(shards: list[StateShard]) -> str:
     return "\n".join(["| recipe | states | share |", "|---|---|---|", *rows])
 
 
-def _soundness(shards: list[StateShard], document: Mapping[str, Any]) -> str:
+def _soundness(shards: list[StateShard]) -> str:
     speed, strain = _measure(shards, "speed"), _measure(shards, "strain")
     if not len(speed):
         return ""
-    # States of earlier versions say their own.
-    limit = document["config"]["crumpling"].get("rest_speed", REST_SPEED)
     edges = np.repeat(
         [len(shard.mesh.edges) for shard in shards], [len(shard.positions) for shard in shards]
     )
@@ -84,9 +82,9 @@ def _soundness(shards: list[StateShard], document: Mapping[str, Any]) -> str:
 
     return "\n".join(
         [
-            f"Settled: {100 * np.mean(speed < limit):.1f} % of states: in the tenth of a second "
-            f"before it was taken no vertex covered more way than {limit} m/s do. The others still "
-            "moved when the wait ended.",
+            f"Settled: {100 * np.mean(speed < REST_SPEED):.1f} % of states: in the tenth of a "
+            f"second before it was taken no vertex covered more way than {REST_SPEED} m/s do. The "
+            "others still moved when the wait ended.",
             "",
             "| | median | mean | 90 % below | highest |",
             "|---|---|---|---|---|",
