@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from shared.bench_measures import Row
-from shared.learning_columns import SYMMETRIC, SYMMETRIC_HIDDEN, SYMMETRIC_VISIBLE
 from shared.table_column import Column, table
 
 IMPROVEMENT = Column("normalised improvement", "improvement", digits=3, last=True, spread=True)
@@ -35,21 +34,14 @@ FLATTENING_COLUMNS: Mapping[str, tuple[Column, ...]] = {
         DECISION,
         Column("rank correlation with the simulator", "agreement", digits=2),
     ),
-    "planning_perception": (
-        SYMMETRIC, SYMMETRIC_VISIBLE, SYMMETRIC_HIDDEN, Column("as named", "error_all_mm"),
-        Column("Chamfer PC", "chamfer_pc_m2", 1e4, 2), Column("perceived anew %", "anew", 100, 0),
-        Column("tracking CPU s", "cpu_s", digits=1),
-    ),
 }  # fmt: skip
 FLATTENING_TITLES = {
     "flattening": "Flattening: ten pick-and-places from the same crumpled starts",
     "planning_dynamics": "Dynamics to plan in: what they say of actions that were done (control)",
-    "planning_perception": "Perception to plan from: the network anew against the tracker",
 }
 FLATTENING_PAIRED = {
     "flattening": (IMPROVEMENT,),
     "planning_dynamics": (END_ERROR,),
-    "planning_perception": (SYMMETRIC,),
 }
 
 PRETRAINED, TUNED, BOUND = "pretrained", "fine-tuned", "control: truth, simulator"

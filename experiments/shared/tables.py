@@ -24,8 +24,6 @@ from shared.learning_columns import (
     LEARNING_COLUMNS,
     LEARNING_PAIRED,
     LEARNING_TITLES,
-    SYMMETRIC,
-    SYMMETRIC_HIDDEN,
 )
 from shared.paper_numbers import PAPER
 from shared.table_column import Column, table
@@ -97,7 +95,6 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     "network_alone": ("network, template",),
     "flattening": ("random",),
     "planning_dynamics": ("simulator",),
-    "planning_perception": ("network",),
 }
 """What the others are paired with; of several, each with those that begin like it."""
 
@@ -145,15 +142,9 @@ def _promises_by_choice(rows: Sequence[Row], variants: Sequence[str]) -> list[st
     return [heading, promises(rows, variants)]
 
 
-def _error_up_to_symmetry(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
-    heading = "Error by action [mm], up to symmetry, all vertices / hidden:"
-    return [heading, by_action(rows, variants, (SYMMETRIC, SYMMETRIC_HIDDEN))]
-
-
 _BELOW: Mapping[str, Callable[[Sequence[Row], Sequence[str]], list[str]]] = {
     "flattening": _improvement_by_action,
     "planning_dynamics": _promises_by_choice,
-    "planning_perception": _error_up_to_symmetry,
 }
 """What stands below the means and the pairs, where it is not the error by action and garment."""
 

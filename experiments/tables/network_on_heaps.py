@@ -15,7 +15,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,19 +25,18 @@ from shared.bench_measures import Row, finite
 from shared.bench_runs import write_rows
 from shared.figures import say
 from shared.learning_columns import SYMMETRIC, SYMMETRIC_HIDDEN, SYMMETRIC_VISIBLE
-from shared.learning_measures import Case
+from shared.learning_measures import Case, vertex_errors
 from shared.table_column import Column, table
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation import Truth
+from clothtrack.evaluation import Truth, chamfer_pc
 from clothtrack.files import content_hash, finished_in_workers
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import quiet_warp
-from clothtrack.planning import EpisodeStore, PerceptionConfig
+from clothtrack.geometry import quiet_warp, visible_vertices
+from clothtrack.planning import EpisodeStore, Estimate, PerceptionConfig
 from clothtrack.planning.perception import Look, NetworkPerception
-from clothtrack.recordings import read_recording
-from tables.planning_perception import measured
+from clothtrack.recordings import observe, read_recording
 
 NAME = "network_on_heaps"
 COVERAGES = (0.0, 0.55, 0.7, 0.85, np.inf)
@@ -120,6 +119,20 @@ def run(task: Task) -> list[Row]:
         found = measured(estimate, case)
         rows.append({**named, **{key: finite(value) for key, value in found.items()}})
     return rows
+
+
+def measured(estimate: Estimate, case: Case) -> Row:
+    """A mesh against cloud and truth."""
+    mesh = replace(estimate.flat, vertices=estimate.positions)
+    _, best = vertex_errors(mesh, case)
+    cloud = observe(case.recording, case.recording.frames[case.frame]).points
+    seen = visible_vertices(estimate.positions, mesh.faces, case.recording.cameras)
+    return {
+        "chamfer_pc_m2": chamfer_pc(estimate.positions, seen, cloud),
+        "error_symmetric_mm": best["all"].mean,
+        "error_symmetric_visible_mm": best["visible"].mean,
+        "error_symmetric_hidden_mm": best["hidden"].mean,
+    }
 
 
 def markdown(rows: Sequence[Row]) -> str:

@@ -8,7 +8,7 @@ import pytest
 from figures import flattening_figure
 from shared import tables
 from shared.bench_runs import read_rows, write_rows
-from tables import flattening, network_on_heaps, planning_dynamics, planning_perception
+from tables import flattening, network_on_heaps, planning_dynamics
 
 from clothtrack.errors import InvalidConfigError
 
@@ -148,34 +148,11 @@ def test_every_action_that_was_done_is_predicted_by_all_dynamics(tmp_path, capsy
 
 
 @pytest.mark.slow
-def test_every_picture_of_a_network_s_episode_is_believed_in_five_ways(tmp_path, capsys):
+def test_networks_are_compared_on_the_pictures_of_episodes(tmp_path, capsys):
     pytest.importorskip("torch", reason="the extra [learn] brings it")
     out = tmp_path / "out"
-    assert flattening.main(["--smoke", "--out", str(out), "--only", "random"]) == 0
-    assert planning_perception.main(["--out", str(out), "--kind", "towel"]) == 1
-    assert "planned from a network's mesh" in capsys.readouterr().err
-    assert flattening.main(["--smoke", "--out", str(out), "--only", "pretrained"]) == 0
-    assert planning_perception.main(["--out", str(out), "--kind", "towel"]) == 0
-    assert "minus *network*" in capsys.readouterr().out
-    rows = read_rows(out / "planning_perception.jsonl")
-    last = max(row["action"] for row in rows)
-    assert len(rows) == 5 * (last + 1)
-    by = {(row["action"], row["variant"]): row for row in rows}
-    for action in {row["action"] for row in rows}:
-        network, nearer = (
-            by[action, name] for name in (planning_perception.NETWORK, planning_perception.NEARER)
-        )
-        tracked = by[action, planning_perception.ALL_ACTIONS]
-        assert nearer["chamfer_pc_m2"] == min(network["chamfer_pc_m2"], tracked["chamfer_pc_m2"])
-        assert network["cpu_s"] is None
-        assert tracked["cpu_s"] >= 0.0
-        assert network["error_symmetric_mm"] <= network["error_all_mm"]
-    ends = [row["error_symmetric_mm"] for row in rows if row["action"] == last]
-    behind = by[last, planning_perception.HINDSIGHT]
-    # It begins with the network's last mesh, aligned to its cloud.
-    assert 0.0 < behind["error_symmetric_mm"] < ends[0]
-    # Nothing was filmed: no belief was carried through an action.
-    assert by[last, planning_perception.ALL_ACTIONS]["anew"] == 1.0
+    assert flattening.main(["--smoke", "--out", str(out), "--only", "random", "pretrained"]) == 0
+    capsys.readouterr()
     # The same network makes the same mesh of the same picture again.
     weights = out / "tiny.safetensors"
     twin = shutil.copy(weights, tmp_path / "twin.safetensors")
@@ -183,11 +160,7 @@ def test_every_picture_of_a_network_s_episode_is_believed_in_five_ways(tmp_path,
     assert network_on_heaps.main([*words, "--every", "1"]) == 0
     assert "| +0.0 ± nan | 0 of 1 |" in capsys.readouterr().out
     again = read_rows(out / "network_on_heaps.jsonl")
-    own = {row["action"]: row["error_symmetric_mm"] for row in again if row["policy"] == "planned"}
-    assert own
-    for action, error in own.items():
-        believed = by[action, planning_perception.NETWORK]["error_symmetric_mm"]
-        assert error == pytest.approx(believed, abs=0.1)
+    assert all(np.isfinite(row["error_symmetric_mm"]) for row in again)
     # Two episodes, one start: its picture counts once for each network.
     assert [row["action"] for row in again].count(0) == 2
     assert network_on_heaps.main(["--out", str(tmp_path), "--weights", str(weights)]) == 1

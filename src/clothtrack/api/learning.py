@@ -85,7 +85,7 @@ def label(
         provenance: stored with the labels, beside that of the run.
 
     Raises:
-        InvalidResultError: the mesh has no canonical coordinates, or no label is left.
+        InvalidResultError: the mesh has no canonical coordinates.
         InvalidConfigError: what garment it is is not known.
     """
     require_learning()
@@ -100,7 +100,7 @@ def label(
     run = load(run) if isinstance(run, Path | str) else run
     source, rejected = recording_of(run), review_of(run).rejected
     judged = judge_labels(run, source, device=device)
-    labels = pseudo_labels_of(run, judged, rejected, flat_start=True)
+    labels = pseudo_labels_of(run, judged, rejected)
     if run.mesh.canonical is None:
         raise InvalidResultError(
             f"{run.path or run.name}: its first mesh has no canonical coordinates; track the "

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         Recording,
         Table,
     )
-    from clothtrack.recordings.reversal import reversed_recording
     from clothtrack.recordings.segmentation import (
         ColorSegmenter,
         HeightSegmenter,
@@ -66,7 +65,6 @@ __all__ = [
     "read_obj",
     "read_recording",
     "recording_digest",
-    "reversed_recording",
     "shipped_recording",
     "thin",
     "write_mesh",
