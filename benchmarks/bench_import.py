@@ -49,7 +49,7 @@ PEER_FRAMES = 100
 
 
 def pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Depth [mm] and colour of a waving surface."""
+    """Depth [mm] and color of a waving surface."""
     rng = np.random.default_rng(0)
     x, y = np.linspace(0, 1, WIDTH), np.linspace(0, 1, HEIGHT)[:, None]
     depths, colors = [], []
@@ -254,7 +254,7 @@ KINDS = {
     "raw, depth to be registered": Kind(partial(write_bag, registered=False)),
     "compressed topics": Kind(partial(write_bag, packed=True), "png", "jpeg"),
     "PNG folder": Kind(write_pngs, "png", "png"),
-    "Matroska, JPEG colour": Kind(write_kinect, "raw", "jpeg"),
+    "Matroska, JPEG color": Kind(write_kinect, "raw", "jpeg"),
 }
 
 

@@ -115,7 +115,7 @@ def main(arguments=None):
     parser.add_argument("--move", action="store_true", help="let the arm move")
     parser.add_argument("--actions", type=int, default=1, help="most of them; with --move")
     parser.add_argument(
-        "--raise", dest="raised_m", type=float, default=0.0, metavar="METRES",
+        "--raise", dest="raised_m", type=float, default=0.0, metavar="METERS",
         help="everything so much higher: a first try in the air",
     )  # fmt: skip
     options = parser.parse_args(arguments)

@@ -49,7 +49,7 @@ class MoveArm:
 
 
 class Eyes:
-    """The latest aligned depth, colour and camera info of a RealSense-like driver."""
+    """The latest aligned depth, color and camera info of a RealSense-like driver."""
 
     def __init__(self, node, world_from_camera):
         from sensor_msgs.msg import CameraInfo, Image
@@ -80,7 +80,7 @@ class Eyes:
         depth, info = latest["depth"], latest["info"]
         unit = 0.001 if depth.encoding == "16UC1" else 1.0
         kind = np.uint16 if depth.encoding == "16UC1" else np.float32
-        metres = np.nan_to_num(np.frombuffer(depth.data, kind).astype(np.float32) * unit)
+        meters = np.nan_to_num(np.frombuffer(depth.data, kind).astype(np.float32) * unit)
         color = latest.get("color")
         shown = None
         if color is not None:
@@ -94,7 +94,7 @@ class Eyes:
                 "fx": info.k[0], "fy": info.k[4], "cx": info.k[2], "cy": info.k[5],
                 "world_from_camera": self._pose,
             },
-            "depth_m": base64.b64encode(metres.astype("<f4").tobytes()).decode(),
+            "depth_m": base64.b64encode(meters.astype("<f4").tobytes()).decode(),
             "color": shown,
         }  # fmt: skip
 

@@ -3,7 +3,7 @@
     python experiments bare_hand --films 1 --out out/bare_hand
     .venv/bin/python experiments bare_hand_pictures --film out/bare_hand/recordings/towel_0300
 
-Only colour and depth of the film are used, as a folder that another program might have written. The
+Only color and depth of the film are used, as a folder that another program might have written. The
 clicks are made with a mouse in Chromium, at the pixels where a person would see the fingers close
 and open. Each command's time is printed. Writes docs/images/bare_hand_*.png; Chromium must be on
 the path, and the extra [experiments] installed.

@@ -152,7 +152,7 @@ def _close_up(
 
 
 def _draw_mesh(picture: UInt8[np.ndarray, "height width 3"], camera: Camera, strip: Strip) -> None:
-    """The mesh as a veil in the colours of its two sides, and the outline of its shape."""
+    """The mesh as a veil in the colors of its two sides, and the outline of its shape."""
     still = Shader(strip.faces, camera).render(strip.vertices)
     inside = still.cloth
     veil = 0.5 * picture[inside] + 0.5 * still.image[inside]

@@ -3,7 +3,7 @@
     python experiments picker_from_pictures --smoke --out out/tip
     .venv/bin/python experiments own_recording_pictures --film out/tip/recordings/towel_0100
 
-Only colour and depth of the film are used, as a folder that another program might have written:
+Only color and depth of the film are used, as a folder that another program might have written:
 where the camera was, what is cloth and what moved it is found again. Writes
 docs/images/own_recording_*.png; Chromium must be on the path.
 """
@@ -84,7 +84,7 @@ def smaller(
 
 
 def strip(film: Recording, folder: Path) -> Path:
-    """Colour and depth of a film as a folder in Open3D's style, and nothing else."""
+    """Color and depth of a film as a folder in Open3D's style, and nothing else."""
     camera = film.cameras[0]
     for kind in ("depth", "color"):
         (folder / kind).mkdir(parents=True)

@@ -3,7 +3,7 @@
 A two-layer T-shirt is folded twice in the stand-in world, seen by a noisy depth camera with the
 tool in the way. What is left out of the shipped copy: the truth (it goes to OUT/world/truth, for
 whoever wants to judge the result), depth farther than 12 pixels from the cloth, and the two lowest
-bits of each colour.
+bits of each color.
 
     python experiments shipped_recording --output OUT
 
@@ -69,13 +69,13 @@ def make(output: Path) -> Path:
 
 
 def shrink(recording: Recording, folder: Path) -> Path:
-    """A copy with coarser colour and no depth far from the cloth."""
+    """A copy with coarser color and no depth far from the cloth."""
     (camera,) = recording.cameras
     provenance = {
         **recording.provenance,
         "made_by": "python experiments shipped_recording --output OUT",
         "left_out": f"depth farther than {MARGIN_PX} pixels from the cloth; "
-        f"colours are multiples of {COLOR_STEP}",
+        f"colors are multiples of {COLOR_STEP}",
     }
     with RecordingWriter(
         folder,
@@ -88,7 +88,7 @@ def shrink(recording: Recording, folder: Path) -> Path:
         for frame in recording.frames:
             color = read_color(frame.color[camera.name])
             depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
-            near = neighbourhood(recording, frame, color, depth)
+            near = neighborhood(recording, frame, color, depth)
             writer.add_frame(
                 frame.time_s,
                 color={camera.name: color // COLOR_STEP * COLOR_STEP},
@@ -101,7 +101,7 @@ def shrink(recording: Recording, folder: Path) -> Path:
     return folder
 
 
-def neighbourhood(
+def neighborhood(
     recording: Recording,
     frame: Frame,
     color: UInt8[np.ndarray, "height width 3"],

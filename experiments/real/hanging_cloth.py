@@ -1,6 +1,6 @@
 """hanging-cloth-rgbd: a real printed cloth held by two corners, seen by one RGB-D camera.
 
-The tracker gets colour, depth, the mask, the template and the two held corners. The measured
+The tracker gets color, depth, the mask, the template and the two held corners. The measured
 points are read by the scorer only. The set states no frame rate (1/30 s is assumed) and has no
 pick-and-place: the action is to hold still.
 """
@@ -212,7 +212,7 @@ def judged_rows(count: int) -> list[int]:
 
 
 def read_picture(file: Path) -> np.ndarray:
-    """A colour picture (height, width, RGB)."""
+    """A color picture (height, width, RGB)."""
     picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
     if picture is None:
         raise InvalidRecordingError(f"{file}: not a readable picture")

@@ -33,7 +33,7 @@ SPLITS = {
     "early": ((range(20, 30), range(30, 40), range(40, 50)), range(15)),
 }
 """Frames that are learned from, and those that are judged, by what is judged. A third of the
-learned ones selects the weights. Five lie between: neighbours are alike."""
+learned ones selects the weights. Five lie between: neighbors are alike."""
 
 CUT_M = 0.02
 NOISE_M = 0.0015

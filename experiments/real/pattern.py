@@ -1,6 +1,6 @@
 """Pattern drift: does the print stay where it is on the tracked cloth?
 
-A witness that is independent of depth: the colour picture is unwrapped onto the mesh, and patches
+A witness that is independent of depth: the color picture is unwrapped onto the mesh, and patches
 of the unwrapped print are looked for in the print unwrapped from the first frame. Where the mesh
 follows the material, a patch is found where it was; where the mesh slides along the cloth, the
 patch is found beside its place, and where it is lost, nothing correlates any more.
@@ -24,7 +24,7 @@ class PatternConfig:
     Attributes:
         texel_m: side of a pixel of the unwrapped print [m].
         patch_m: side of a patch [m].
-        stride_m: distance between neighbouring patches [m].
+        stride_m: distance between neighboring patches [m].
         margin_m: a patch keeps this distance from the rim of the cloth [m], where the picture
             shows the hem and what is behind the cloth.
         search_m: how far from its place a patch is looked for [m]; beyond about 20 mm it may

@@ -1,4 +1,4 @@
-"""What real pictures became, to look at: colour, measured heights, heights of the mesh."""
+"""What real pictures became, to look at: color, measured heights, heights of the mesh."""
 
 from collections.abc import Sequence
 
@@ -31,7 +31,7 @@ def tile(
     words: str,
     corners: Float[np.ndarray, "corners 2"],
 ) -> Picture:
-    """Colour, measured and drawn heights on one scale, words over them.
+    """Color, measured and drawn heights on one scale, words over them.
 
     Args:
         picture: the real picture; its stickers are ringed in green.
@@ -75,7 +75,7 @@ def _heights(
     shown: Bool[np.ndarray, "height width"],
     highest_m: float,
 ) -> Picture:
-    """Heights from the table to the highest as colours, paper where nothing is shown."""
+    """Heights from the table to the highest as colors, paper where nothing is shown."""
     levels = np.clip(255.0 * height_m / highest_m, 0, 255).astype(np.uint8)
     colors = cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
     return np.where(shown[..., None], colors, np.uint8(rgb255(PAPER)))

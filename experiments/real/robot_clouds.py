@@ -78,8 +78,8 @@ class RobotCloudScore:
         chamfer_pc_m2: counted visible vertices against counted points [m^2].
         cloud_to_mesh_m2: its half from points to vertices [m^2].
         band_as_target_m2: the same Chamfer distance where what lies in the band is not judged but
-            may be met [m^2]. Dropping it outright charges a vertex a millimetre above the band,
-            whose point lies a millimetre inside it, the way to the next counted point: 10 cm.
+            may be met [m^2]. Dropping it outright charges a vertex a millimeter above the band,
+            whose point lies a millimeter inside it, the way to the next counted point: 10 cm.
         edge_strain: mean absolute relative change of edge length.
     """
 

@@ -40,7 +40,7 @@ CAMERA_HEIGHT_M = 10.0
 """Of the camera that `stickers/` is given [m]: so far away that its picture is a map."""
 
 LEVEL, LEVELS_PER_M = 192.5, 2000.0
-"""Value of the table in a map of heights, and by how much it falls with each metre."""
+"""Value of the table in a map of heights, and by how much it falls with each meter."""
 
 LEAST_HEIGHT_M = -0.003
 """A pixel of a map that is lower is none of the cloth: its rim, mixed with the background [m]."""
@@ -53,7 +53,7 @@ class RealPicture:
     Attributes:
         depth: what the network is asked about.
         silhouette: where the cloth is, measured or not.
-        color: the same view in colour, red first.
+        color: the same view in color, red first.
         size_m: longer and shorter side of the cloth [m], where they are known.
         stickers: column and row of the corners' stickers that can be seen [pixels].
     """

@@ -215,7 +215,7 @@ def _to_world(camera: Camera, vectors: Float[np.ndarray, "*any 3"]) -> Float[np.
 
 
 def _masks(folder: Path, camera: Camera) -> tuple[Bool[np.ndarray, "height width"], ...]:
-    # The set has no mask of the second frame: the shirt's colours are learned in the first.
+    # The set has no mask of the second frame: the shirt's colors are learned in the first.
     first, second = frame_numbers(folder)
     mask = _first_mask(folder)
     picture = read_picture(folder / f"color_{first:03d}.png")

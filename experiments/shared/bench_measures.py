@@ -128,7 +128,7 @@ def swapped_layers(
     Args:
         vertices: to judge [m].
         points: where they really are [m].
-        mesh: the flat first mesh: it tells layers from neighbours.
+        mesh: the flat first mesh: it tells layers from neighbors.
         apart_m: layers nearer than this in truth [m] have no order.
     """
     reach_m = 0.75 * float(np.median(mesh.edge_lengths))
@@ -158,7 +158,7 @@ def in_order(
     Args:
         vertices: to judge [m].
         points: where they really are [m].
-        mesh: the flat mesh: it tells layers from neighbours.
+        mesh: the flat mesh: it tells layers from neighbors.
     """
     found, true = _place_among_layers(vertices, mesh), _place_among_layers(points, mesh)
     apart = np.abs(found - true)
@@ -190,10 +190,10 @@ def without_slip(
 
     The motion is the least squares one (Kabsch, DOI 10.1107/S0567739476001873).
     """
-    centred, wanted = vertices - vertices.mean(axis=0), points - points.mean(axis=0)
-    left, _, right = np.linalg.svd(centred.T @ wanted)
+    centerd, wanted = vertices - vertices.mean(axis=0), points - points.mean(axis=0)
+    left, _, right = np.linalg.svd(centerd.T @ wanted)
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return float(np.linalg.norm(centred @ (left @ flip @ right) - wanted, axis=1).mean())
+    return float(np.linalg.norm(centerd @ (left @ flip @ right) - wanted, axis=1).mean())
 
 
 def _world(

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 from clothtrack.report.palette import INK, PAPER
 
 COLOR_STEP = 6
-"""Colours of a picture in a document are rounded to this: nobody sees it, and files are small."""
+"""Colors of a picture in a document are rounded to this: nobody sees it, and files are small."""
 
 
 def say(text: str) -> None:
@@ -49,7 +49,7 @@ def _finite(value: object) -> object:
 
 
 def plot_style(*, title_size: float) -> dict[str, Any]:
-    """The report's colours and plain frames, for matplotlib's `rc_context`.
+    """The report's colors and plain frames, for matplotlib's `rc_context`.
 
     Args:
         title_size: of the panels' titles [points].

@@ -87,7 +87,7 @@ def _pictures(folder: Path) -> frozenset[str]:
 def picture_digests(recording: Recording) -> frozenset[str]:
     """Return the SHA-256 of every file that shows what was measured; nothing is decoded.
 
-    Of each frame its depth pictures count; its cloud where there are none, its colour where there
+    Of each frame its depth pictures count; its cloud where there are none, its color where there
     is nothing else. A mask is no picture: the same one may be drawn twice. A picture that another
     program has compressed anew is another file.
 

@@ -27,15 +27,15 @@ def depth_picture(
     if not shown.any():
         return blank("no cloth")
     near, far = np.percentile(depth_m[shown], [1.0, 99.0])
-    grey = 1.0 - np.clip((depth_m - near) / max(far - near, 1e-3), 0.0, 1.0)
-    colors = np.where(shown[..., None], (40 + 200 * grey[..., None]), rgb255(PAPER))
+    gray = 1.0 - np.clip((depth_m - near) / max(far - near, 1e-3), 0.0, 1.0)
+    colors = np.where(shown[..., None], (40 + 200 * gray[..., None]), rgb255(PAPER))
     rows, columns = np.nonzero(shown)
     cut = colors[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     return framed(cut.astype(np.uint8))
 
 
 def canonical_picture(found: Reconstruction, kind: str) -> Picture:
-    """Canonical coordinates as colours: x red, y green, z blue, over the cube of the category."""
+    """Canonical coordinates as colors: x red, y green, z blue, over the cube of the category."""
     known = np.isfinite(found.canonical_image).all(axis=-1)
     unit = canonical_frame(kind).to_unit(np.where(known[..., None], found.canonical_image, 0.0))
     colors = np.where(known[..., None], 255.0 * np.clip(unit, 0.0, 1.0), rgb255(PAPER))

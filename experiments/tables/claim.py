@@ -7,7 +7,7 @@ The garment is filmed in a world that is as unkind as a lab's (`shared/unkind_wo
 learns from labels of its recordings, each kind in its turn, and the truth judges it on recordings
 that are held out. `usual` are as many pictures of the same garment without tracking: the same
 actions in the tracker's own simulator, uncalibrated, drawn as in pretraining. `--label-error` makes
-the true labels wrong by so many millimetres.
+the true labels wrong by so many millimeters.
 
 Whatever is finished is kept, cell by cell, in OUT/claim.jsonl; the table is of all that is there. A
 second call goes on; `--only-print` just prints.
@@ -190,7 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--garments", nargs="+", choices=GARMENTS, default=["tshirt"])
     parser.add_argument("--networks", nargs="+", choices=NETWORKS, default=["tokens"])
     parser.add_argument("--labels", nargs="*", choices=LABELS, default=[], help="to learn from")
-    parser.add_argument("--label-error", nargs="*", type=float, default=[], help="millimetres")
+    parser.add_argument("--label-error", nargs="*", type=float, default=[], help="millimeters")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="of the training")
     parser.add_argument("--recordings", type=int, default=10, help="to learn from")
     parser.add_argument("--held-out", type=int, default=5, help="recordings to measure on")

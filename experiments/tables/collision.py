@@ -1,7 +1,7 @@
 """Collision: vertex pairs under 5 mm and true crossings, with and without the rigidity loss.
 
 Claim judged: without rigidity the alignment pushes layers through each other. The paper counts
-vertex pairs nearer than 5 mm on 3,906 vertices; ours leave out neighbours in the mesh, stand per
+vertex pairs nearer than 5 mm on 3,906 vertices; ours leave out neighbors in the mesh, stand per
 1,000 vertices too, and beside what the truth has on the same vertices: folded cloth is near itself.
 Crossings are edges that pass through a triangle: the true fault. The default has a second term that
 keeps shape, the edge lengths, so it loses that too in its last line.

@@ -5,7 +5,7 @@ does not show on the benchmark, depends on how the visible vertices are held. Th
 at the paper's method and keeps every change it has made; the last one, the slide to the outline,
 makes it the default. The second half takes away from the default the parts of the paper's Table 1,
 then its own: the alignment of the first mesh, the mean of the candidates, the search among them,
-the untangling, the rest where pictures stand still, the points followed in colour, the cloth's
+the untangling, the rest where pictures stand still, the points followed in color, the cloth's
 stretch.
 
     python experiments default_ablations --bench OUT --split test --workers 2
@@ -69,7 +69,7 @@ def ablations(setup: Setup) -> list[Variant]:
     return [
         *(setup.variant(f"default without {part}", ours, name) for part, name in WITHOUT.items()),
         setup.variant("default without search", replace(ours, search=SearchConfig(method="none"))),
-        setup.variant("default without colour", replace(ours, color=False)),
+        setup.variant("default without color", replace(ours, color=False)),
         setup.variant(
             "default without stretch",
             replace(ours, cloth=replace(ours.cloth, stretch_compliance=0.0)),

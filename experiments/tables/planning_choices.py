@@ -13,7 +13,7 @@ A third of the starts are dropped cloth, the others have been pulled outwards on
 `--episodes`, where a method's episodes lie (FOLDER/worlds, as `flattening` keeps them), they are
 cloth that a plan has come to: that of every third action. Starts that are finished are kept. The
 gain is fitted to the promise and the distance off the cloth, start
-by start: what a metre off the cloth is worth over the promise's slope is the width of a strip.
+by start: what a meter off the cloth is worth over the promise's slope is the width of a strip.
 """
 
 import argparse

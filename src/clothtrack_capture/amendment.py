@@ -106,7 +106,7 @@ def set_masks(
         recording: to be changed.
         camera: whose pictures the masks belong to.
         mask_of: mask of the cloth in a frame; None or an empty one where it has none.
-        color: the cloth's colour name to note, if any.
+        color: the cloth's color name to note, if any.
         provenance: remarks to add.
 
     Returns:

@@ -51,7 +51,7 @@ class Board:
             )
         if not 0.0 < self.marker_m < self.square_m:
             raise InvalidConfigError(
-                f"square_m is {self.square_m} and marker_m {self.marker_m}; both in metres, the "
+                f"square_m is {self.square_m} and marker_m {self.marker_m}; both in meters, the "
                 "marker smaller than its square"
             )
         if self.dictionary not in _DICTIONARIES:
@@ -81,10 +81,10 @@ class Board:
 
         Boards printed by old versions of OpenCV, whose first square is white, are known too.
         """
-        grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+        gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
         best = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
         for board in self._boards:
-            corners, ids, *_ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+            corners, ids, *_ = cv2.aruco.CharucoDetector(board).detectBoard(gray)
             if ids is not None and len(ids) > len(best[0]):
                 best = ids.ravel().astype(np.int64), corners.reshape(-1, 2).astype(np.float64)
         return best
@@ -123,7 +123,7 @@ def locate_board(
     """Return the pose of a board that lies still, from all pictures of it together.
 
     Args:
-        pictures: colour pictures, red first, without lens distortion; some may not show it.
+        pictures: color pictures, red first, without lens distortion; some may not show it.
         board: what was printed.
         camera: whose pictures they are.
 

@@ -151,18 +151,18 @@ def place_by_board(
     The origin is on the table under the middle of the board, x runs along its columns, z up.
 
     Args:
-        recording: with colour pictures of the board.
+        recording: with color pictures of the board.
         camera: the one to be placed.
         board: what was printed.
         thickness_m: how high the print lies over the table [m].
 
     Raises:
-        InvalidRecordingError: there are no colour pictures, or the board is not found in them.
+        InvalidRecordingError: there are no color pictures, or the board is not found in them.
     """
     frames = [frame for frame in recording.frames if camera.name in frame.color]
     if not frames:
         raise InvalidRecordingError(
-            f"{recording.folder}: camera {camera.name!r} has no colour pictures to find a board "
+            f"{recording.folder}: camera {camera.name!r} has no color pictures to find a board "
             "in; leave the board out and let depth find the table"
         )
     places = np.unique(np.linspace(0, len(frames) - 1, _BOARD_PICTURES).round().astype(int))

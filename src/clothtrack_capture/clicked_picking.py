@@ -52,7 +52,7 @@ class ClickedPicking:
         """Look whether the recording tells the cloth from a hand.
 
         Raises:
-            InvalidRecordingError: it does not, or there is no table, colour or depth.
+            InvalidRecordingError: it does not, or there is no table, color or depth.
         """
         self.views = ClothViews(recording, camera)
         self.times = np.array([frame.time_s for frame in recording.frames])

@@ -58,7 +58,7 @@ class ClothViews:
         """Look whether the recording tells the cloth from a hand.
 
         Raises:
-            InvalidRecordingError: it does not, or there is no table, colour or depth.
+            InvalidRecordingError: it does not, or there is no table, color or depth.
         """
         self.recording, self.camera = recording, camera
         self.table = _required_table(recording, camera)
@@ -79,7 +79,7 @@ class ClothViews:
             )
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the colour picture of a frame, red first.
+        """Return the color picture of a frame, red first.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -172,7 +172,7 @@ def _required_table(recording: Recording, camera: Camera) -> Table:
     for frame in recording.frames:
         if camera.name not in frame.color or camera.name not in frame.depth:
             raise InvalidRecordingError(
-                f"{folder}: frame {frame.index} has no colour or no depth from camera "
+                f"{folder}: frame {frame.index} has no color or no depth from camera "
                 f"{camera.name!r}; clicks need both in every frame"
             )
     masked = any(camera.name in frame.mask for frame in recording.frames)

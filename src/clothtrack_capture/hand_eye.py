@@ -28,7 +28,7 @@ COLUMNS = {"picture": Column(filled, "name a picture")} | dict.fromkeys(
 )
 _LEAST_POSES = 5
 _LEAST_TURN_DEG = 10.0
-_METRES_PER_RADIAN = 0.3
+_METERS_PER_RADIAN = 0.3
 """At this distance from the board an angle counts as much as the length it sweeps [m]."""
 
 
@@ -37,7 +37,7 @@ class RobotPose:
     """One picture and where the gripper was, as the robot says.
 
     Attributes:
-        picture: the colour picture of the board.
+        picture: the color picture of the board.
         base_from_gripper: rigid 4 x 4 [m].
     """
 
@@ -100,7 +100,7 @@ def calibrate_hand_eye(
 
     def off(unknowns: Float[np.ndarray, " 12"]) -> Float[np.ndarray, " residuals"]:
         shifts, turns = _disagreement(moves, boards, _rigid(unknowns[:6]), _rigid(unknowns[6:]))
-        return np.concatenate([shifts.ravel(), _METRES_PER_RADIAN * turns.ravel()])
+        return np.concatenate([shifts.ravel(), _METERS_PER_RADIAN * turns.ravel()])
 
     start = np.concatenate([_unknowns(pose), _unknowns(board)])
     fit = least_squares(off, start, x_scale="jac").x

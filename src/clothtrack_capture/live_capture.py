@@ -43,7 +43,7 @@ class CapturedFrame:
 
     Attributes:
         time_s: on the camera's clock [s].
-        color: colour picture, red first, registered to depth; None without a colour camera.
+        color: color picture, red first, registered to depth; None without a color camera.
         depth_m: depth [m], 0 where nothing was measured.
     """
 

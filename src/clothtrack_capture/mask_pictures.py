@@ -1,4 +1,4 @@
-"""Pictures of masks: the cloth in its own colours with an outline, all else turned down."""
+"""Pictures of masks: the cloth in its own colors with an outline, all else turned down."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,8 +33,8 @@ def masked_picture(
     if mask is None:
         return small
     inside = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)[..., None]
-    calm = (0.35 * grey + 0.65 * np.array(rgb255(PAPER))).astype(np.uint8)
+    gray = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)[..., None]
+    calm = (0.35 * gray + 0.65 * np.array(rgb255(PAPER))).astype(np.uint8)
     shown = np.where(inside[..., None] > 0, small, calm)
     outlines, _ = cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(shown, outlines, -1, rgb255(HIDDEN), 1 if width < 400 else 2, cv2.LINE_AA)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
-NEIGHBOURS = 5
+NEIGHBORS = 5
 """A mask is compared with the median of so many before and so many after it."""
 
 _SUDDEN = 0.25
@@ -82,8 +82,8 @@ def summary_of(setup: SegmentationSetup) -> MaskSummary:
 
 def doubtful(areas: Float[np.ndarray, " frames"]) -> np.ndarray:
     """Return which of the areas [pixels] are empty, or differ suddenly from those around them."""
-    padded = np.pad(areas, NEIGHBOURS, mode="edge")
-    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
+    padded = np.pad(areas, NEIGHBORS, mode="edge")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBORS + 1), axis=1)
     return (areas < 1) | (np.abs(areas - around) > _SUDDEN * around)
 
 

@@ -1,4 +1,4 @@
-"""The picker's path from pictures: where its coloured tip was, when it held cloth, what it did.
+"""The picker's path from pictures: where its colored tip was, when it held cloth, what it did.
 
 A pick-and-place is read from the tip's height over the table: it comes down to the cloth, rests
 there while it closes, rises, comes down again, rests while it opens, and leaves. A pair of
@@ -36,7 +36,7 @@ from clothtrack_capture.tip_finder import (
 _TWO_ARMS_SHARE = 0.15
 """Share of the frames that must show two arms before the gap between them is trusted."""
 _SAMPLES = 24
-"""Pictures from which the tip's colours are learned, from all over the recording."""
+"""Pictures from which the tip's colors are learned, from all over the recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +67,17 @@ def find_picker(
     *,
     name: str = "tip",
 ) -> PickerDetection:
-    """Return the path of a coloured tip and its pick-and-places.
+    """Return the path of a colored tip and its pick-and-places.
 
     Args:
-        recording: with colour, depth and a table.
+        recording: with color, depth and a table.
         camera: the one that sees the tip.
-        members: set of the tip's colours, roughly.
+        members: set of the tip's colors, roughly.
         name: what to call the picker.
 
     Raises:
-        InvalidRecordingError: there is no table or no colour, or the tip is hardly ever seen.
-        InvalidConfigError: much of every picture has the tip's colour.
+        InvalidRecordingError: there is no table or no color, or the tip is hardly ever seen.
+        InvalidConfigError: much of every picture has the tip's color.
     """
     if recording.table is None:
         raise InvalidRecordingError(
@@ -91,7 +91,7 @@ def find_picker(
     if seen.sum() < 4:
         raise InvalidRecordingError(
             f"{recording.folder}: the tip is seen in {int(seen.sum())} of {len(seen)} frames (at "
-            "least 4); check its colour, or click on it in a frame that shows it"
+            "least 4); check its color, or click on it in a frame that shows it"
         )
     heights = recording.table.heights(positions)
     visits = visits_of(seen, [tip and tip.pixel for tip in tips], camera)
@@ -112,7 +112,7 @@ def find_picker(
 def tip_members(
     recording: Recording, camera: Camera, tip: str | tuple[int, int, int] | None
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the tip's colours, from a colour name or a click (frame, column, row).
+    """Return set of the tip's colors, from a color name or a click (frame, column, row).
 
     Raises:
         InvalidConfigError: the name is unknown, or the click misses the recording or the picture.
@@ -122,7 +122,7 @@ def tip_members(
     frame, column, row = tip
     if not 0 <= frame < len(recording.frames) or camera.name not in recording.frames[frame].color:
         raise InvalidConfigError(
-            f"{recording.folder}: there is no colour picture of frame {frame} from camera "
+            f"{recording.folder}: there is no color picture of frame {frame} from camera "
             f"{camera.name!r}; click in a frame from 0 to {len(recording.frames) - 1}"
         )
     return clicked_colors(read_color(recording.frames[frame].color[camera.name]), column, row)
@@ -177,12 +177,12 @@ def _watch_tip(
     """Return the tip in every frame, or None where it is not seen.
 
     Raises:
-        InvalidRecordingError: a frame lacks colour or depth.
+        InvalidRecordingError: a frame lacks color or depth.
     """
     for frame in recording.frames:
         if camera.name not in frame.color or camera.name not in frame.depth:
             raise InvalidRecordingError(
-                f"{recording.folder}: frame {frame.index} has no colour or no depth from camera "
+                f"{recording.folder}: frame {frame.index} has no color or no depth from camera "
                 f"{camera.name!r}; a tip is found in both together"
             )
 

@@ -21,7 +21,7 @@ _TOUCH_HEIGHT_M = 0.05
 _REST_M = 0.004
 """A tip that stays this near to its lowest point [m] rests there."""
 JUMP_M = 0.04
-"""A position farther than this [m] from the line between its neighbours is a wrong one."""
+"""A position farther than this [m] from the line between its neighbors is a wrong one."""
 _BORDER_PIXELS = 60.0
 """A tip last seen this near to the picture's border [pixels] has left it; else cloth hides it."""
 
@@ -52,7 +52,7 @@ def without_jumps(
     kept = positions.copy()
     before, here, after = positions[:-2], positions[1:-1], positions[2:]
     off = np.linalg.norm(here - 0.5 * (before + after), axis=1)
-    # A real tip that turns fast is off too, but not by more than its neighbours are apart.
+    # A real tip that turns fast is off too, but not by more than its neighbors are apart.
     apart = np.linalg.norm(after - before, axis=1)
     kept[1:-1][off > JUMP_M + apart] = np.nan
     return kept

@@ -1,4 +1,4 @@
-"""Intel RealSense cameras, live, through pyrealsense2 (extra [realsense]); depth laid on colour."""
+"""Intel RealSense cameras, live, through pyrealsense2 (extra [realsense]); depth laid on color."""
 
 import logging
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ class RealSenseCamera:
 
         Raises:
             InvalidConfigError: pyrealsense2 is not installed.
-            InvalidRecordingError: no frames come, or they lack colour or depth.
+            InvalidRecordingError: no frames come, or they lack color or depth.
         """
         rs = _sdk()
         self._source, self._pipeline = source, pipeline
@@ -48,7 +48,7 @@ class RealSenseCamera:
         first = self._next()
         if first is None:
             raise InvalidRecordingError(
-                "the camera gives no depth together with colour; switch both streams on"
+                "the camera gives no depth together with color; switch both streams on"
             )
         depth, color = first
         lens = color.get_profile().as_video_stream_profile().get_intrinsics()
@@ -74,7 +74,7 @@ class RealSenseCamera:
             self._pipeline.stop()
 
     def _next(self) -> tuple[Any, Any] | None:
-        """Return depth laid on colour, and colour; None when nothing comes any more."""
+        """Return depth laid on color, and color; None when nothing comes any more."""
         for _ in range(30):
             try:
                 frames = self._source.wait_for_frames(_WAIT_MS)

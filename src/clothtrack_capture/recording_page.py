@@ -125,7 +125,7 @@ class Session:
         }
 
     def preview(self) -> Picture | None:
-        """Return the colour and depth of the latest frame, beside each other."""
+        """Return the color and depth of the latest frame, beside each other."""
         with self._lock:
             latest = self._latest
         return None if latest is None else preview_of(latest)
@@ -193,12 +193,12 @@ def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
         if not NEAREST_M < middle < FARTHEST_M:
             text.append(f"the scene is {middle:.2f} m away: 0.5 to 1 m is best")
     if frame.color is None:
-        text.append("no colour: the cloth can only be told apart by its height")
+        text.append("no color: the cloth can only be told apart by its height")
     return text
 
 
 def preview_of(frame: CapturedFrame) -> Picture:
-    """Return colour on the left and depth on the right: near is red, unmeasured is grey."""
+    """Return color on the left and depth on the right: near is red, unmeasured is gray."""
     depth = frame.depth_m
     shown = np.full((*depth.shape, 3), rgb255(PAPER), np.uint8)
     seen = depth > 0

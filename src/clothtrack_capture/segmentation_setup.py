@@ -33,7 +33,7 @@ class SegmentationSetup:
         """Start with what the recording says of its cloth already, if anything.
 
         Raises:
-            InvalidRecordingError: the camera has no colour pictures with depth.
+            InvalidRecordingError: the camera has no color pictures with depth.
         """
         self.recording, self.camera = recording, camera
         self.frames = tuple(
@@ -43,7 +43,7 @@ class SegmentationSetup:
         )
         if not self.frames:
             raise InvalidRecordingError(
-                f"{recording.folder}: camera {camera.name!r} has no frame with both colour and "
+                f"{recording.folder}: camera {camera.name!r} has no frame with both color and "
                 "depth to choose a cloth in; give mask/ files"
             )
         self._lock = threading.RLock()
@@ -78,7 +78,7 @@ class SegmentationSetup:
         self._learn(learned, frame, {"box": [*box]})
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the colour picture of a frame, red first.
+        """Return the color picture of a frame, red first.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -140,7 +140,7 @@ class SegmentationSetup:
     def _frame(self, index: int) -> Frame:
         if index not in self._by_index:
             raise InvalidConfigError(
-                f"there is no colour picture of frame {index}; choose one from "
+                f"there is no color picture of frame {index}; choose one from "
                 f"{self.frames[0].index} to {self.frames[-1].index}"
             )
         return self._by_index[index]

@@ -1,7 +1,7 @@
-"""Where the coloured tip of a tool is in one picture, to a fraction of a pixel and in depth.
+"""Where the colored tip of a tool is in one picture, to a fraction of a pixel and in depth.
 
 A tip is a few pixels wide, and half of its depth is missing or mixed with what lies behind it. So
-its end is found in the colour picture, and the depth there from a line through the depths along
+its end is found in the color picture, and the depth there from a line through the depths along
 the tip that most of them agree on, the near ones at that: what is mixed is always farther.
 """
 
@@ -25,7 +25,7 @@ from clothtrack.recordings.colors import (
 from clothtrack.recordings.segmentation import ColorSegmenter
 
 LEAST_PIXELS = 8
-"""Fewer pixels of the surest colour are specks, no tip."""
+"""Fewer pixels of the surest color are specks, no tip."""
 WIDEST_SHARE = 0.03
 """More of the picture than this is no tip: a tip is a few pixels wide."""
 _ELONGATED = 2.0
@@ -33,7 +33,7 @@ _ELONGATED = 2.0
 _DEPTH_BAND_M = 0.003
 """Depths along the tip agree when they are this near to a line [m]."""
 STEEPEST = 3.0
-"""A line along the tip changes depth by at most so much [m] per metre across."""
+"""A line along the tip changes depth by at most so much [m] per meter across."""
 _RADIUS_M = 0.0015
 """Half the thickness of the tip [m]: depth is measured on its surface."""
 _SECOND_SHARE = 0.4
@@ -65,14 +65,14 @@ class Tip:
 
 
 def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colours that a name stands for.
+    """Return set of the colors that a name stands for.
 
     Raises:
         InvalidConfigError: the name is unknown.
     """
     if name.lower() not in NAMED_COLORS:
         raise InvalidConfigError(
-            f"the tip's colour is {name!r}; known names: {', '.join(NAMED_COLORS)}"
+            f"the tip's color is {name!r}; known names: {', '.join(NAMED_COLORS)}"
         )
     return named_set(name)
 
@@ -80,7 +80,7 @@ def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
 def clicked_colors(
     color: UInt8[np.ndarray, "height width 3"], column: int, row: int
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colours of the patch that was clicked.
+    """Return set of the colors of the patch that was clicked.
 
     Raises:
         InvalidConfigError: the click is outside the picture, or the patch looks like the rest.
@@ -89,7 +89,7 @@ def clicked_colors(
 
 
 class TipFinder:
-    """Finds a tip of known colours in the pictures of one camera."""
+    """Finds a tip of known colors in the pictures of one camera."""
 
     def __init__(
         self,
@@ -98,12 +98,12 @@ class TipFinder:
         *,
         background: Bool[np.ndarray, "height width"] | None = None,
     ) -> None:
-        """Look for these colours.
+        """Look for these colors.
 
         Args:
-            members: set of the tip's colours.
+            members: set of the tip's colors.
             camera: whose pictures will come.
-            background: pixels that have the tip's colour without being it.
+            background: pixels that have the tip's color without being it.
         """
         self._members, self._camera = members, camera
         self._background = background
@@ -111,7 +111,7 @@ class TipFinder:
     def _votes(
         self, color: UInt8[np.ndarray, "height width 3"]
     ) -> UInt8[np.ndarray, "height width"]:
-        """Return what the colours say of every pixel, the background left out."""
+        """Return what the colors say of every pixel, the background left out."""
         votes = votes_of(color, self._members)
         if self._background is not None:
             votes[self._background] = 0
@@ -128,7 +128,7 @@ class TipFinder:
         """Return the tip in a picture; None where it is not seen.
 
         Args:
-            color: colour picture, red first.
+            color: color picture, red first.
             depth_m: depth [m], 0 where nothing was measured.
             near: where it was lately [pixels]; pieces there are preferred.
             axis: where its end pointed so far, for when depth does not tell.
@@ -156,7 +156,7 @@ class TipFinder:
         *,
         near: Float[np.ndarray, " 2"] | None = None,
     ) -> list[Int[np.ndarray, "pixels 2"]]:
-        """Pixels (column, row) of up to two pieces of the tip's colour, the likeliest first."""
+        """Pixels (column, row) of up to two pieces of the tip's color, the likeliest first."""
         votes = self._votes(color)
         sure = votes == CORE
         if np.count_nonzero(sure) < LEAST_PIXELS:
@@ -267,19 +267,19 @@ def learned_finder(
     members: UInt8[np.ndarray, "32 32 32"],
     camera: Camera,
 ) -> TipFinder:
-    """Return a finder whose colours are learned from the recording itself, starting from these.
+    """Return a finder whose colors are learned from the recording itself, starting from these.
 
-    Cloth and table have colours near the tip's: in shade, and where two of them mix at an edge.
-    So what was taken for the tip is held against all else in the same pictures, and a colour
+    Cloth and table have colors near the tip's: in shade, and where two of them mix at an edge.
+    So what was taken for the tip is held against all else in the same pictures, and a color
     stays when it is more frequent on the tip.
 
     Args:
-        looks: colour (red first) and depth [m] of pictures from all over the recording.
-        members: set of the tip's colours, roughly.
+        looks: color (red first) and depth [m] of pictures from all over the recording.
+        members: set of the tip's colors, roughly.
         camera: whose pictures they are.
 
     Raises:
-        InvalidConfigError: much of every picture has the tip's colour.
+        InvalidConfigError: much of every picture has the tip's color.
     """
     pictures = [color for color, _ in looks]
     members, background = _without_surroundings(pictures, members)
@@ -305,14 +305,14 @@ def _without_surroundings(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]],
     members: UInt8[np.ndarray, "32 32 32"],
 ) -> tuple[UInt8[np.ndarray, "32 32 32"], Bool[np.ndarray, "height width"]]:
-    """The tip's colours without those of its surroundings, and pixels that are never the tip."""
+    """The tip's colors without those of its surroundings, and pixels that are never the tip."""
     votes = [votes_of(picture, members) for picture in pictures]
     sure = np.mean([vote == CORE for vote in votes], axis=0)
     if sure.mean() > 2.0 * WIDEST_SHARE:
         raise InvalidConfigError(
-            f"the tip's colour covers {100 * sure.mean():.0f} % of the pictures (at most "
+            f"the tip's color covers {100 * sure.mean():.0f} % of the pictures (at most "
             f"{200 * WIDEST_SHARE:.0f} %): table or cloth have it too; mark the tip in another "
-            "colour, or click on it"
+            "color, or click on it"
         )
     if np.mean([vote == LOOSE for vote in votes]) > WIDEST_SHARE:
         members = np.where(members == CORE, members, 0).astype(np.uint8)

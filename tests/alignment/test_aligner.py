@@ -122,7 +122,7 @@ VARIANTS = {
 
 
 def some_marks(positions):
-    """A third of the vertices is wanted a few millimetres from where it is."""
+    """A third of the vertices is wanted a few millimeters from where it is."""
     rng = np.random.default_rng(3)
     weight = rng.uniform(0.1, 1.0, len(positions)) * (np.arange(len(positions)) % 3 == 0)
     return Marks(positions + rng.normal(scale=3e-3, size=positions.shape), weight)

@@ -1,4 +1,4 @@
-"""Neighbours stay exact while everything moves: against a k-d tree in every iteration."""
+"""Neighbors stay exact while everything moves: against a k-d tree in every iteration."""
 
 import numpy as np
 import pytest

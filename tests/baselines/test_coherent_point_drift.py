@@ -46,7 +46,7 @@ def test_fixed_vertices_stay_and_draw_the_others(cloth):
     assert lengths(cloth, moved).max() < 1.1
 
 
-def test_no_two_edges_of_a_colour_share_a_vertex(cloth):
+def test_no_two_edges_of_a_color_share_a_vertex(cloth):
     edges = EdgeLengths(cloth)
     seen = np.concatenate(edges._colors)
     assert sorted(seen) == list(range(len(cloth.edges)))

@@ -21,11 +21,11 @@ def pose_of(turn, shift):
 
 
 def rendered(pose, board=BOARD, seed=None):
-    """A grey table with the board on it, four times oversampled, blurred and noisy with a seed."""
+    """A gray table with the board on it, four times oversampled, blurred and noisy with a seed."""
     over = 4
     picture = board.picture(PIXELS)
     height, width = picture.shape
-    # Pixels of the print to metres on the board, to pixels of the camera, to fine pixels.
+    # Pixels of the print to meters on the board, to pixels of the camera, to fine pixels.
     scale = board.square_m / PIXELS
     to_board = np.array(
         [[scale, 0, (0.5 - width / 2) * scale], [0, -scale, (height / 2 - 0.5) * scale], [0, 0, 1]]

@@ -36,7 +36,7 @@ def camera_above(degrees=10.0):
 
 
 def warped(camera, world_from_board):
-    """A picture of the board lying somewhere, on grey."""
+    """A picture of the board lying somewhere, on gray."""
     pixels = 40
     picture = BOARD.picture(pixels)
     height, width = picture.shape

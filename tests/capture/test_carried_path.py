@@ -78,7 +78,7 @@ def test_frames_without_cloth_in_view_do_not_count():
     assert abs(found.end_s - PATH.end_s) < 0.06
 
 
-def test_start_and_end_stay_between_the_neighbouring_actions():
+def test_start_and_end_stay_between_the_neighboring_actions():
     found = fit(replace(PATH, start_s=1.15, end_s=2.05), seen_of(PATH), (1.1, 2.1))
     assert found is not None
     assert 1.1 <= found.start_s < found.end_s <= 2.1

@@ -145,7 +145,7 @@ def test_actions_that_touch_make_a_valid_recording(picking, folder):
     assert np.count_nonzero(path.closed[1:] & ~path.closed[:-1]) + path.closed[0] == 2
 
 
-def test_without_mask_and_colour_a_hand_would_be_cloth(folder):
+def test_without_mask_and_color_a_hand_would_be_cloth(folder):
     document = json.loads((folder / "recording.json").read_text())
     del document["cloth"]["color"]
     (folder / "recording.json").write_text(json.dumps(document))

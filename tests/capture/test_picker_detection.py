@@ -1,4 +1,4 @@
-"""The picker in the pictures: laws of the path, and the stand-in camera with a coloured tip."""
+"""The picker in the pictures: laws of the path, and the stand-in camera with a colored tip."""
 
 import json
 import shutil
@@ -125,7 +125,7 @@ def tip_path():
 
 
 def filmed(folder, kind, tip, cloth_color):
-    """A tip with a colour over a cloth that lies still, filmed by the stand-in camera."""
+    """A tip with a color over a cloth that lies still, filmed by the stand-in camera."""
     cloth = garment(kind, vertex_count=300)
     vertices = cloth.vertices - [0, 0, cloth.vertices[:, 2].min() - 0.002]
     config = SensorConfig()
@@ -146,18 +146,18 @@ def filmed(folder, kind, tip, cloth_color):
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """A pink tip over a purple towel: colours that mix at the towel's edge."""
+    """A pink tip over a purple towel: colors that mix at the towel's edge."""
     return filmed(tmp_path_factory.mktemp("film") / "towel", "towel", "pink", "purple")
 
 
 @pytest.mark.slow
 def test_a_tip_over_a_tshirt_is_found_too(tmp_path):
-    test_the_tip_is_found_to_a_few_millimetres_and_the_pick_to_two_frames(
+    test_the_tip_is_found_to_a_few_millimeters_and_the_pick_to_two_frames(
         filmed(tmp_path / "tshirt", "tshirt", "cyan", "blue")
     )
 
 
-def test_the_tip_is_found_to_a_few_millimetres_and_the_pick_to_two_frames(film):
+def test_the_tip_is_found_to_a_few_millimeters_and_the_pick_to_two_frames(film):
     folder, path, closed, tip = film
     recording = read_recording(folder)
     found = find_picker(recording, recording.cameras[0], tip_colors(tip), name="hand")
@@ -181,7 +181,7 @@ def test_the_tip_is_found_to_a_few_millimetres_and_the_pick_to_two_frames(film):
     assert found.actions[0].last_frame == len(path) - 1
 
 
-def test_a_click_on_the_tip_does_as_well_as_its_colour(film):
+def test_a_click_on_the_tip_does_as_well_as_its_color(film):
     folder, path, _, _ = film
     recording = read_recording(folder)
     camera = recording.cameras[0]
@@ -214,7 +214,7 @@ def test_what_is_found_becomes_the_recording(film, tmp_path, capsys):
     assert (copy / "picker.csv").read_bytes() == text
 
 
-def test_a_colour_that_is_not_there_or_everywhere_is_refused(film):
+def test_a_color_that_is_not_there_or_everywhere_is_refused(film):
     recording = read_recording(film[0])
     camera = recording.cameras[0]
     with pytest.raises(InvalidRecordingError, match="the tip is seen in"):
@@ -225,7 +225,7 @@ def test_a_colour_that_is_not_there_or_everywhere_is_refused(film):
         tip_colors("mauve")
     with pytest.raises(InvalidRecordingError, match="calibrate-camera first"):
         find_picker(replace(recording, table=None), camera, tip_colors("pink"))
-    with pytest.raises(InvalidConfigError, match="there is no colour picture of frame 999"):
+    with pytest.raises(InvalidConfigError, match="there is no color picture of frame 999"):
         tip_members(recording, camera, (999, 1, 1))
 
 

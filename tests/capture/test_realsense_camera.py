@@ -99,7 +99,7 @@ def test_a_software_device_is_recorded_value_by_value(tmp_path):
         number = int(color[0, 0, 0]) // 20
         np.testing.assert_array_equal(color, drawn(number)[1])
         depth = read_depth(frame.depth["top"], 0.001)
-        # The SDK lays depth on the grid of the colour camera, which leaves some pixels out.
+        # The SDK lays depth on the grid of the color camera, which leaves some pixels out.
         assert (depth > 0).mean() > 0.9
         np.testing.assert_allclose(depth[depth > 0], 0.7 + 0.001 * number, atol=1e-6)
     steps = np.diff([frame.time_s for frame in recording.frames])

@@ -102,7 +102,7 @@ def test_what_is_wrong_with_the_picture_is_said():
     told = " ".join(warnings_of(blind))
     assert "25 % of the picture" in told
     assert "3.00 m away" in told
-    assert "no colour" in told
+    assert "no color" in told
 
 
 def test_the_preview_shows_near_red_and_nothing_pale():

@@ -12,7 +12,7 @@ from clothtrack.recordings.template_file import read_template
 
 
 def picture(path, *, sixteen=False):
-    """A red shirt of 60 cm on a grey table, 2 mm a pixel; light falls from one side."""
+    """A red shirt of 60 cm on a gray table, 2 mm a pixel; light falls from one side."""
     spans = ShirtOutline().spans(0.6, depth=0.018)
     corners = np.concatenate([span.points[:-1] for span in spans]) / 0.002 * (1, -1) + (320, 240)
     light = np.linspace(90, 170, 640)[None, :, None]
@@ -22,9 +22,9 @@ def picture(path, *, sixteen=False):
     return path
 
 
-def test_a_colour_picture_becomes_a_template_and_its_outline_is_drawn(tmp_path, capsys):
+def test_a_color_picture_becomes_a_template_and_its_outline_is_drawn(tmp_path, capsys):
     shown, output = picture(tmp_path / "flat.png"), tmp_path / "shirt.npz"
-    words = ["garment", str(shown), "--kind", "tshirt", "--metres-per-pixel", "0.002"]
+    words = ["garment", str(shown), "--kind", "tshirt", "--meters-per-pixel", "0.002"]
     assert cli.main([*words, "--output", str(output), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert abs(report["length_m"] / 0.6 - 1.0) < 0.02
@@ -50,7 +50,7 @@ def test_what_means_nothing_is_refused_in_one_line(tmp_path, capsys):
     shown, output = str(picture(tmp_path / "flat.png")), ["--output", str(tmp_path / "t.npz")]
     recording = str(shipped_recording())
     for words, said in (
-        ([shown, "--kind", "tshirt", *output], "--metres-per-pixel"),
+        ([shown, "--kind", "tshirt", *output], "--meters-per-pixel"),
         ([recording, "--kind", "tshirt", "--focal", "500", *output], "--focal"),
         ([recording, "--kind", "trousers", *output], "no gap between the legs"),
         ([recording, "--kind", "tshirt", "--openings", "a,b", *output], "COLUMN,ROW"),

@@ -111,11 +111,11 @@ CASES = {
     "truncated PNG": (truncated_picture, ["depth/000000.png", "breaks off", "copy or record"]),
     "8-bit depth": (shallow_depth, ["depth/000000.png", "bits is 8", "16-bit"]),
     "wrong unit": (wrong_unit, ["recording.json", "depth_unit_m", "1", "0.001"]),
-    "swapped centre": (
+    "swapped center": (
         swapped(("cx", "cy")),
         ["recording.json", "cameras[0].cx, cy", "(59.5, 79.5)", "swap them"],
     ),
-    "swapped focal length and centre": (
+    "swapped focal length and center": (
         swapped(("fx", "cx"), ("fy", "cy")),
         [
             "recording.json",

@@ -16,7 +16,7 @@ FAST = ("--set", "search.method=none")
 
 @pytest.fixture
 def recordings(towels, tmp_path):
-    """A right recording, and one whose template lies half a metre beside the cloth."""
+    """A right recording, and one whose template lies half a meter beside the cloth."""
     for name in ("right", "wrong"):
         shutil.copytree(towels / "recordings" / "towel_0001", tmp_path / name)
     path = tmp_path / "wrong" / "template.obj"

@@ -38,7 +38,7 @@ def test_the_truth_scores_zero_against_itself(sheet):
     assert errors["visible"].count + errors["hidden"].count == errors["all"].count
 
 
-def test_a_shift_of_five_millimetres_is_five_millimetres_everywhere(sheet, rng):
+def test_a_shift_of_five_millimeters_is_five_millimeters_everywhere(sheet, rng):
     seen = np.arange(sheet.vertex_count) % 3 > 0
     moved = sheet.vertices + shift_of(0.005, rng)
     for summary in vertex_error_mm(moved, sheet.vertices, seen).values():
@@ -140,7 +140,7 @@ def test_a_fold_halves_the_coverage_and_a_fold_through_the_cloth_crosses(sheet):
     assert found.below_table > 0.1
 
 
-def test_layers_nearer_than_five_millimetres_are_close_pairs():
+def test_layers_nearer_than_five_millimeters_are_close_pairs():
     shirt = tshirt(spacing_m=0.02)
     apart, together = shirt.vertices.copy(), shirt.vertices.copy()
     apart[:, 2] *= 0.02 / np.ptp(shirt.vertices[:, 2])
@@ -152,7 +152,7 @@ def test_layers_nearer_than_five_millimetres_are_close_pairs():
     assert counts[0] < counts[1]
 
 
-def test_below_the_table_is_more_than_three_millimetres_under_rest(sheet):
+def test_below_the_table_is_more_than_three_millimeters_under_rest(sheet):
     tilted = Table(np.array([0.0, 0.0, 0.2]), np.array([0.6, 0.0, 0.8]))
     on_it = sheet.vertices @ np.array([[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]])
     on_it = on_it + tilted.point + 0.0015 * tilted.normal

@@ -103,7 +103,7 @@ def test_the_truth_has_no_error_and_scores_its_floor(recording, truth):
     assert result.provenance == {"commit": "abc"}
 
 
-def test_five_millimetres_are_five_millimetres_visible_and_hidden(recording, truth):
+def test_five_millimeters_are_five_millimeters_visible_and_hidden(recording, truth):
     moved = TRUE[1] + [0.003, 0.004, 0.0]
     (row, _) = evaluate(tracked(moved), recording, truth).rows
     for key in ("all", "visible", "hidden"):

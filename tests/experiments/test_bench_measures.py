@@ -44,7 +44,7 @@ def test_a_layer_pushed_through_the_other_is_swapped_where_they_overlap(flat):
     through = points.copy()
     through[over, 2] -= 0.008
     swapped = swapped_layers(through, points, flat)
-    # Near the fold the two halves are neighbours in the flat cloth.
+    # Near the fold the two halves are neighbors in the flat cloth.
     far = np.abs(flat.vertices[:, 0]) > 0.03
     assert swapped[far & over].all()
     assert swapped[far & ~over].all()

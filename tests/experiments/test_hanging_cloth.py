@@ -82,7 +82,7 @@ def test_the_template_is_cut_into_triangles_that_face_one_way(folder):
     np.testing.assert_allclose(normals[:, 1], normals[0, 1], rtol=1e-4)
     assert mesh.vertex_areas.sum() == pytest.approx(WIDTH_M**2, rel=1e-4)
     assert len(mesh.edges) == 2 * SIDE * (SIDE - 1) + (SIDE - 1) ** 2
-    # Neighbouring cells are cut along different diagonals.
+    # Neighboring cells are cut along different diagonals.
     diagonals = np.abs(np.diff(mesh.edges, axis=1))
     assert {SIDE - 1, SIDE + 1} <= set(diagonals.ravel().tolist())
 

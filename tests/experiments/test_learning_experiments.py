@@ -175,7 +175,7 @@ def test_labels_are_the_trackers_the_truths_wrong_or_simulated(runs):
         where = material_map(truth.canonical, truth.faces, np.asarray(mesh.canonical, float))
         wanted = material_points(truth.at(labels[0].frame), truth.faces, where)
         np.testing.assert_allclose(known.pictures[1].positions, wanted)
-        # Wrong by as much as was asked for, along the table, alike in neighbours; flat it is right.
+        # Wrong by as much as was asked for, along the table, alike in neighbors; flat it is right.
         np.testing.assert_array_equal(moved.pictures[0].positions, known.pictures[0].positions)
         gap = moved.pictures[1].positions - wanted
         assert np.linalg.norm(gap, axis=1).mean() == pytest.approx(0.01)

@@ -54,17 +54,17 @@ def test_every_frame_that_is_judged_is_a_label_too(found):
 
 
 def test_the_control_has_the_cut_and_the_tool_and_as_many_points(found):
-    grey = found["lift_grey"]
-    labelled = grey.simulated(Tracked(grey))
+    gray = found["lift_grey"]
+    labelled = gray.simulated(Tracked(gray))
     assert labelled.name == "simulated_lift_grey"
     for frame, picture in zip(labelled.frames, labelled.pictures, strict=True):
         points = picture.camera.back_project(picture.depth_m, picture.mask)
-        assert 0 < len(points) <= len(grey.sequence.clouds[frame])
-        apart = np.linalg.norm(points - grey.sequence.gripper[frame], axis=1)
+        assert 0 < len(points) <= len(gray.sequence.clouds[frame])
+        apart = np.linalg.norm(points - gray.sequence.gripper[frame], axis=1)
         assert apart.min() > robot_clouds.TOOL_CLEARANCE_M - 0.01
         # Its surface is the simulated one, which does not lean as the measured one does.
         assert np.median(points[:, 2]) == pytest.approx(TABLE_M + 0.02 * frame, abs=0.002)
-    again = grey.simulated(Tracked(grey))
+    again = gray.simulated(Tracked(gray))
     np.testing.assert_array_equal(again.pictures[0].depth_m, labelled.pictures[0].depth_m)
 
 

@@ -17,7 +17,7 @@ SHIFT_M = SHIFT_PX / FOCAL * DEPTH_MM * 1e-3
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A blue cloth in front of a grey wall, carried sideways by 10 cm, with some sensor noise."""
+    """A blue cloth in front of a gray wall, carried sideways by 10 cm, with some sensor noise."""
     folder = tmp_path_factory.mktemp("set") / tshirt_pair.NAME
     folder.mkdir()
     intrinsics = {"width": 320, "height": 240, "fx": FOCAL, "fy": FOCAL, "cx": 159.5, "cy": 119.5}
@@ -80,7 +80,7 @@ def test_a_rotation_is_carried_by_the_triangles(folder):
     np.testing.assert_allclose(score.end_point_error_m[inside], expected[inside], atol=1e-6)
 
 
-def test_the_recording_follows_the_shirt_by_its_colour(folder, tmp_path):
+def test_the_recording_follows_the_shirt_by_its_color(folder, tmp_path):
     recording = read_recording(tshirt_pair.convert(folder, tmp_path / "r"))
     assert [frame.time_s for frame in recording.frames] == pytest.approx([0.0, 6 / 30.0])
     later = read_mask(recording.frames[1].mask[tshirt_pair.CAMERA])

@@ -195,14 +195,14 @@ def dead():
 
 def test_what_dead_processes_leave_is_removed_and_nothing_of_a_living_one(tmp_path, dead):
     path = tmp_path / "towel"
-    alive, neighbour = left_by(os.getpid(), path), left_by(dead, tmp_path / "towel.b")
+    alive, neighbor = left_by(os.getpid(), path), left_by(dead, tmp_path / "towel.b")
     far = left_by(os.getpid(), path, host="00000000")
     (tmp_path / ".towel.mine").touch()
     gone = left_by(dead, path)
     clear_leftovers([path])
     assert not gone.exists()
     assert not far.exists(), "who holds the lock removes what other machines have left"
-    assert neighbour.exists()
+    assert neighbor.exists()
     far = left_by(1, path, host="00000000")
     clear_dead(tmp_path)
     assert {one.name for one in tmp_path.iterdir()} == {alive.name, far.name, ".towel.mine"}

@@ -119,8 +119,8 @@ def test_the_shortening_is_the_derivative_of_the_length():
 def test_two_places_are_two_contours_each_with_two_sheets():
     """A sheet that dips twice through another."""
     vertices, faces = sheet(41, 1.0, shift=(0.004, 0.003, 0.0))
-    for centre in (-0.25, 0.25):
-        away = np.square(vertices[:, :2] - (centre, 0.01)).sum(axis=1)
+    for center in (-0.25, 0.25):
+        away = np.square(vertices[:, :2] - (center, 0.01)).sum(axis=1)
         vertices[:, 2] += 0.1 * np.exp(-away / 0.1**2)
     vertices[:, 2] -= 0.05
     mesh = joined(sheet(31, 1.2), (vertices, faces))

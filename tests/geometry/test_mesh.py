@@ -18,7 +18,7 @@ FACES = np.array([[0, 1, 2]])
         (VERTICES.astype("U8"), FACES, "vertices are an array .* type <U8"),
         (VERTICES, FACES.astype(float), "faces are an array .* type float64"),
         (VERTICES, FACES[0], r"faces are an array of shape \(3,\)"),
-        (VERTICES * 1e200, FACES, "1.0e\\+199 m from the origin .* scale the mesh to metres"),
+        (VERTICES * 1e200, FACES, "1.0e\\+199 m from the origin .* scale the mesh to meters"),
     ],
 )
 def test_arrays_that_are_no_mesh_are_refused(vertices, faces, told):
@@ -30,7 +30,7 @@ def test_arrays_that_are_no_mesh_are_refused(vertices, faces, told):
         ClothMesh.__post_init__(mesh)
 
 
-def test_canonical_coordinates_are_metres_too():
+def test_canonical_coordinates_are_meters_too():
     with pytest.raises(InvalidMeshError, match=r"canonical coordinate is 1.0e\+07 m"):
         ClothMesh(VERTICES, FACES, VERTICES * 1e8)
 

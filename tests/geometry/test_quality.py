@@ -117,8 +117,8 @@ def test_a_vertex_that_is_nowhere_crosses_nothing():
     assert crossings(np.full_like(vertices, np.nan), faces) == 0
 
 
-def test_close_pairs_skip_neighbours_and_their_neighbours():
-    vertices, faces = grid(9, 0.032)  # 4 mm spacing: neighbours are within 5 mm, as in fine meshes
+def test_close_pairs_skip_neighbors_and_their_neighbors():
+    vertices, faces = grid(9, 0.032)  # 4 mm spacing: neighbors are within 5 mm, as in fine meshes
     assert close_pairs(vertices, faces) == 0
     both = np.concatenate([vertices, vertices + 0.003 * UP])
     both_faces = np.concatenate([faces, faces + 81])

@@ -11,8 +11,8 @@ DOWN = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1.0], [0, 0, 0, 1]])
 
 
 def camera(width=64, height=48, focal=60.0, pose=DOWN, **options):
-    centre = options.pop("centre", ((width - 1) / 2, (height - 1) / 2))
-    return Camera("top", width, height, focal, focal * 1.1, *centre, pose)
+    center = options.pop("center", ((width - 1) / 2, (height - 1) / 2))
+    return Camera("top", width, height, focal, focal * 1.1, *center, pose)
 
 
 def grid(count, size, height=0.0, offset=(0.0, 0.0)):
@@ -61,9 +61,9 @@ def random_pose(rng):
 @pytest.mark.parametrize("seed", range(4))
 def test_rasteriser_agrees_with_ray_casting(seed):
     rng = np.random.default_rng(seed)
-    view = camera(pose=random_pose(rng), centre=(20.3, 31.2))
-    centres = rng.uniform([-0.4, -0.4, 0.5], [0.4, 0.4, 2.0], size=(40, 1, 3))
-    local = centres + rng.normal(scale=0.15, size=(40, 3, 3))
+    view = camera(pose=random_pose(rng), center=(20.3, 31.2))
+    centers = rng.uniform([-0.4, -0.4, 0.5], [0.4, 0.4, 2.0], size=(40, 1, 3))
+    local = centers + rng.normal(scale=0.15, size=(40, 3, 3))
     vertices = (local @ view.world_from_camera[:3, :3].T + view.position).reshape(-1, 3)
     faces = np.arange(120).reshape(-1, 3)
     seen = Rasteriser(faces, view).render(vertices)
@@ -110,15 +110,15 @@ def test_a_mesh_behind_the_camera_leaves_the_image_empty():
     assert np.isposinf(seen.depth).all()
 
 
-def test_a_closed_grid_has_no_holes_even_with_pixel_centres_on_its_edges():
+def test_a_closed_grid_has_no_holes_even_with_pixel_centers_on_its_edges():
     view = Camera("top", 41, 41, 40.0, 40.0, 20.0, 20.0, DOWN)
-    vertices, faces = grid(21, 1.0)  # every edge lies on a line of pixel centres or between two
+    vertices, faces = grid(21, 1.0)  # every edge lies on a line of pixel centers or between two
     seen = Rasteriser(faces, view).render(vertices)
     assert (seen.faces >= 0).all()
     np.testing.assert_allclose(seen.depth, 1.0, rtol=1e-6)
 
 
-def test_pixel_centres_are_at_integers():
+def test_pixel_centers_are_at_integers():
     view = camera(width=9, height=7, focal=10.0)
     for row, column in [(0, 0), (3, 8), (6, 4)]:
         x, y = (column - view.cx) / view.fx, (row - view.cy) / view.fy

@@ -16,5 +16,5 @@ _spec.loader.exec_module(import_makers)
 
 @pytest.fixture
 def film():
-    """Four random pictures of depth and colour."""
+    """Four random pictures of depth and color."""
     return import_makers.Film()

@@ -21,7 +21,7 @@ OPTICAL = "camera_color_optical_frame"
 
 @dataclass
 class Film:
-    """What a camera saw: depth [units], colour, times [ns], one lens."""
+    """What a camera saw: depth [units], color, times [ns], one lens."""
 
     frames: int = 4
     width: int = 32
@@ -180,7 +180,7 @@ def _write(writer, entries, messages):
 
 
 def kinect_calibration():
-    """A calibration as the device holds it: shares of the full sensors, metres."""
+    """A calibration as the device holds it: shares of the full sensors, meters."""
 
     def camera(location, lens, rotation, translation, *, width, height):
         return {
@@ -391,6 +391,6 @@ def depth_of(recording):
 
 
 def color_of(recording):
-    """The colours of every frame of a recording."""
+    """The colors of every frame of a recording."""
     files = sorted((Path(recording) / "color").glob("*.png"))
     return np.stack([cv2.imread(str(file))[..., ::-1] for file in files])

@@ -144,7 +144,7 @@ def test_a_write_ahead_log_beside_a_bag_is_named(film, tmp_path):
         import_recording(source, tmp_path / "out")
 
 
-def test_padding_byte_order_and_float_metres(tmp_path):
+def test_padding_byte_order_and_float_meters(tmp_path):
     film = Film(frames=3)
     lengths = film.depth / 1000.0
     lengths[0, 0, :4] = [np.nan, np.inf, -1.0, 7.0]
@@ -160,7 +160,7 @@ def test_padding_byte_order_and_float_metres(tmp_path):
     expected[0, 0, :4] = 0
     assert np.array_equal(depth_of(tmp_path / "out"), expected)
     assert report.depth_unit_m == pytest.approx(1e-4)
-    assert "colour" not in report.streams
+    assert "color" not in report.streams
 
 
 def test_compressed_transports(film, tmp_path):
@@ -210,7 +210,7 @@ def test_two_cameras_must_be_chosen_between(film, tmp_path):
         import_recording(source, tmp_path / "out")
     chosen = ImportOptions(depth_topic="/right/depth/image_raw")
     report = import_recording(source, tmp_path / "out", chosen)
-    assert report.streams["colour"] == "/right/color/image_raw"
+    assert report.streams["color"] == "/right/color/image_raw"
 
 
 def test_depth_that_the_driver_registered_is_preferred(film, tmp_path):

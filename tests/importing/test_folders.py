@@ -23,7 +23,7 @@ def options(style, film, tmp_path):
 @pytest.mark.parametrize(("style", "unit_m"), [("tum", 2e-4), ("open3d", 1e-3), ("bop", 1e-4)])
 def test_every_bit_arrives(style, unit_m, film, tmp_path):
     if unit_m < 1e-3:
-        film.depth *= 5  # so that the median is some decimetres in each unit
+        film.depth *= 5  # so that the median is some decimeters in each unit
     source = write_folder(tmp_path / "film", film, style)
     report = import_recording(source, tmp_path / "out", options(style, film, tmp_path))
     assert np.array_equal(depth_of(tmp_path / "out"), film.depth)
@@ -66,7 +66,7 @@ def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
     report = import_recording(source, tmp_path / "out")
     times = [frame.time_s for frame in read_recording(tmp_path / "out").frames]
     assert np.allclose(times, [0, 2 / 30, 3 / 30])
-    assert "1 colour pictures" in report.dropped[0]
+    assert "1 color pictures" in report.dropped[0]
 
 
 def test_depth_as_jpeg_is_called_so(film, tmp_path):
@@ -74,7 +74,7 @@ def test_depth_as_jpeg_is_called_so(film, tmp_path):
     for file in (source / "depth").iterdir():
         cv2.imwrite(str(file.with_suffix(".jpg")), (cv2.imread(str(file), -1) // 256).astype("u1"))
         file.unlink()
-    with pytest.raises(InvalidRecordingError, match=r"depth as a JPEG.*16-bit grey PNG"):
+    with pytest.raises(InvalidRecordingError, match=r"depth as a JPEG.*16-bit gray PNG"):
         import_recording(source, tmp_path / "out")
 
 

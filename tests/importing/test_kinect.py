@@ -91,7 +91,7 @@ def test_depth_alone_arrives_where_its_lens_is_straight(depth, tmp_path):
 
 
 @pytest.mark.parametrize("letters", [b"MJPG", b"BGRA"])
-def test_depth_is_carried_to_the_colour_camera(letters, depth, color, tmp_path):
+def test_depth_is_carried_to_the_color_camera(letters, depth, color, tmp_path):
     depth[:] = 1000
     source = write_kinect(tmp_path / "film.mkv", depth, color, TIMES, letters=letters)
     report = import_recording(source, tmp_path / "out")
@@ -105,7 +105,7 @@ def test_depth_is_carried_to_the_colour_camera(letters, depth, color, tmp_path):
 
 
 def test_lenses_against_the_formula():
-    """Sensor shares, outer corner at zero -> pixels of the mode, first centre at zero."""
+    """Sensor shares, outer corner at zero -> pixels of the mode, first center at zero."""
     depth, color, pose = kinect_intrinsics(FILM, text(), NARROW, HD)
     assert depth.fx == pytest.approx(0.49 * 512)
     assert depth.cx == pytest.approx(0.5 * 512 - 96 - 0.5)
@@ -125,7 +125,7 @@ def test_binning_changes_the_pixels_not_the_rays(one, other):
     assert np.allclose(wide, fine.corner_rays()[::2, ::2], atol=1e-4, equal_nan=True)
 
 
-def test_cropped_colour_modes_share_their_rays():
+def test_cropped_color_modes_share_their_rays():
     _, hd, _ = kinect_intrinsics(FILM, text(), NARROW, HD)
     _, full, _ = kinect_intrinsics(FILM, text(), NARROW, (2560, 1440))
     assert np.allclose(hd.corner_rays(), full.corner_rays()[::2, ::2], atol=1e-4)

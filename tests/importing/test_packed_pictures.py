@@ -18,7 +18,7 @@ def chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def grey16(rows, width, height, *, interlaced=0):
+def gray16(rows, width, height, *, interlaced=0):
     head = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, interlaced)
     parts = chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows)), chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
@@ -41,13 +41,13 @@ def test_remarks_are_left_out(film):
 
 
 def test_what_changes_the_pixels_is_decoded(film):
-    grey = png(film.color[0][..., 0])
+    gray = png(film.color[0][..., 0])
     jpeg = cv2.imencode(".jpg", film.color[0])[1].tobytes()
     turned = with_chunk(png(film.color[0]), b"eXIf", b"MM\0*\0\0\0\x08\0\0")
     seen_through = with_chunk(png(film.color[0]), b"tRNS", bytes(6))
-    for data in (grey, jpeg, turned, seen_through, png(film.depth[0])):
+    for data in (gray, jpeg, turned, seen_through, png(film.depth[0])):
         assert packed_color(data).plain_png() is None
-    interlaced = grey16(bytes(3), 1, 1, interlaced=1)
+    interlaced = gray16(bytes(3), 1, 1, interlaced=1)
     assert packed_depth(interlaced).plain_png() is None
 
 
@@ -56,9 +56,9 @@ def test_what_changes_the_pixels_is_decoded(film):
 )
 def test_pixels_that_contradict_the_header_are_refused(rows):
     """Every checksum is right; a 2 x 2 picture has two rows of a filter and two samples."""
-    assert packed_depth(grey16(bytes(10), 2, 2)).plain_png() is not None
+    assert packed_depth(gray16(bytes(10), 2, 2)).plain_png() is not None
     with pytest.raises(TruncatedError):
-        packed_depth(grey16(rows, 2, 2)).plain_png()
+        packed_depth(gray16(rows, 2, 2)).plain_png()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9])
@@ -72,7 +72,7 @@ def test_a_broken_file_is_refused(share, film):
 
 
 def test_a_wrong_checksum_of_the_pixels_is_refused():
-    data = grey16(bytes(10), 2, 2)
+    data = gray16(bytes(10), 2, 2)
     pixels = zlib.compress(bytes(10))
     other = pixels[:-1] + bytes([pixels[-1] ^ 1])
     with pytest.raises(TruncatedError):

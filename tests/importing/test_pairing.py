@@ -1,4 +1,4 @@
-"""Colour and depth by time stamp: nearest, each once, within the tolerance."""
+"""Color and depth by time stamp: nearest, each once, within the tolerance."""
 
 from pathlib import Path
 
@@ -77,7 +77,7 @@ def test_a_constant_offset_is_met_by_the_tolerance_that_is_proposed():
     assert more.advice == ""
 
 
-def test_faster_colour_and_doubles_are_counted():
+def test_faster_color_and_doubles_are_counted():
     depth = [0.0, 100.0, 100.0, 200.0]
     paired = pair(FILM, frames(depth), frames(np.arange(0, 210, 50.0)), None)
     assert len(paired.pairs) == 3

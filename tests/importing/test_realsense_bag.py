@@ -22,7 +22,7 @@ def test_new_recordings(film, tmp_path):
 
 
 def test_the_pose_between_the_cameras_is_the_sensors_own(film, tmp_path):
-    """`/tf_static` of the same file, in another convention, would move depth by half a metre."""
+    """`/tf_static` of the same file, in another convention, would move depth by half a meter."""
     source = write_realsense_db3(tmp_path / "film.db3", film, shift_m=0.015)
     opened = open_source(source, ImportOptions())
     opened.close()
@@ -49,7 +49,7 @@ def test_an_old_recording_without_its_unit_asks(film, tmp_path):
 
 @pytest.mark.data
 def test_the_genuine_recording(data, tmp_path):
-    """An office corner: 93 % of depth measured, median 1.478 m; depth not registered to colour."""
+    """An office corner: 93 % of depth measured, median 1.478 m; depth not registered to color."""
     source = data / "realsense-d435-bag" / "single_depth_color_640x480.bag"
     if not source.is_file():
         pytest.skip("the genuine RealSense recording is not here")
@@ -73,6 +73,6 @@ def test_the_genuine_recording(data, tmp_path):
     assert both.frames == 1
     assert inspect(tmp_path / "both").valid
     carried = read_depth(tmp_path / "both" / "depth" / "000000.png", 0.001)
-    # The colour camera sees a narrower part, almost all of it measured.
+    # The color camera sees a narrower part, almost all of it measured.
     assert (carried > 0).mean() > 0.95
     assert np.median(carried[carried > 0]) == pytest.approx(1.55, abs=0.03)

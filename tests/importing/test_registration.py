@@ -101,7 +101,7 @@ def test_against_the_slow_reference(x, y, tilt, roll, seed):
         return calibration(color, pose)
 
     expected, carried = reference(counts, one(0)), Registration(one(0)).depth(counts)
-    # A centre exactly on an edge may fall on either side of it in single precision. Such
+    # A center exactly on an edge may fall on either side of it in single precision. Such
     # pixels change when the picture moves by a thousandth of a pixel; they are not compared.
     certain = (reference(counts, one(-1e-3)) == expected) & (
         reference(counts, one(1e-3)) == expected
@@ -139,7 +139,7 @@ def test_corner_rays_lead_back_to_their_corners(distortion, fisheye):
     assert np.abs(back.reshape(-1, 2) - expected)[known].max() < 0.5
 
 
-def test_a_colour_picture_is_straightened():
+def test_a_color_picture_is_straightened():
     """A point that the lens bent to a pixel stands where the straight pinhole has it."""
     lens = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.15, 0.02, 0.0, 0.0))
     target = np.array([[[0.3, -0.2, 1.0]]])

@@ -63,7 +63,7 @@ def test_a_higher_table_changes_nothing_but_the_height(dynamics):
     action = PickPlace(INWARDS.pick + up, INWARDS.place + up, INWARDS.lift_m)
     (high,) = dynamics.predict(raised, [action])
     (low,) = dynamics.predict(LYING, [INWARDS])
-    # Rounding decides where a vertex in the fold comes to lie, and on which of its neighbours.
+    # Rounding decides where a vertex in the fold comes to lie, and on which of its neighbors.
     assert np.linalg.norm(high - up - low, axis=1).mean() < 2e-3
     area = projected_area(low, FLAT.faces)
     assert projected_area(high, FLAT.faces) == pytest.approx(area, rel=0.002)

@@ -22,7 +22,7 @@ def test_every_candidate_has_its_own_area_and_a_burst_one_none():
 
 
 def test_only_cloth_in_the_picture_counts_and_no_triangle_on_its_border():
-    """The camera sees x from -0.1 to 0.0455: of the towel's edges at every centimetre, to 0.04."""
+    """The camera sees x from -0.1 to 0.0455: of the towel's edges at every centimeter, to 0.04."""
     above = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]])
     camera = Camera("top", 291, 400, 2000.0, 2000.0, 199.5, 199.5, above)
     cloth = np.stack([FLAT.vertices, FLAT.vertices + [1.0, 0.0, 0.0]])

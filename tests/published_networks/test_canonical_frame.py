@@ -16,10 +16,10 @@ KINDS = tuple(LARGEST_SIZE_M)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_metres_to_unit_and_back(kind, rng):
+def test_meters_to_unit_and_back(kind, rng):
     frame = canonical_frame(kind)
     points = rng.uniform(-0.3, 0.3, (50, 3))
-    np.testing.assert_allclose(frame.to_metres(frame.to_unit(points)), points, atol=1e-12)
+    np.testing.assert_allclose(frame.to_meters(frame.to_unit(points)), points, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -85,7 +85,7 @@ def test_a_pose_that_the_cube_cannot_hold_or_tell_apart_is_refused():
     check_canonical(towel, "towel")
     check_canonical(shirt, "tshirt")
     for wrong in (1e3 * towel, towel + (0.4, 0.0, 0.0)):
-        with pytest.raises(InvalidConfigError, match="in metres about the origin"):
+        with pytest.raises(InvalidConfigError, match="in meters about the origin"):
             check_canonical(wrong, "towel")
     with pytest.raises(InvalidConfigError, match="front and back are one place"):
         check_canonical(shirt * (1.0, 1.0, 0.03), "tshirt")

@@ -26,8 +26,8 @@ TINY_REFERENCE = replace(preset("reference"), image_size=32)
 
 def logits_of(units, bins, sharpness=400.0):
     """A sure answer: a narrow bell over the bins around each coordinate."""
-    centres = (torch.arange(bins) + 0.5) / bins
-    return -sharpness * bins * (units[..., None] - centres) ** 2
+    centers = (torch.arange(bins) + 0.5) / bins
+    return -sharpness * bins * (units[..., None] - centers) ** 2
 
 
 def random_logits(rng, pixels, bins=16):
@@ -59,8 +59,8 @@ def test_the_mean_of_the_window_is_finer_than_a_bin(rng):
 
 
 def test_a_rival_answer_does_not_pull_the_coordinate_but_lowers_the_confidence():
-    centres = torch.tensor([[0.2, 0.5, 0.8]])
-    sure, rival = logits_of(centres, 64), logits_of(centres + 10 / 64, 64)
+    centers = torch.tensor([[0.2, 0.5, 0.8]])
+    sure, rival = logits_of(centers, 64), logits_of(centers + 10 / 64, 64)
     found, confidence = coordinates(torch.logaddexp(sure, rival - 0.5))
     alone, certain = coordinates(sure)
     torch.testing.assert_close(found, alone)

@@ -19,7 +19,7 @@ from clothtrack_lab.published_networks.warp_field import RESIDUAL_M, WarpField
 TINY = NetworkConfig(volume=8, volume_channels=8, volume_widths=(8, 16), decoder_hidden=16, grid=9)
 
 
-def cell_centres(cells):
+def cell_centers(cells):
     along = (torch.arange(cells) + 0.5) / cells
     return torch.stack(torch.meshgrid(along, along, along, indexing="ij"), dim=-1)
 
@@ -45,15 +45,15 @@ def test_a_cell_filled_at_xyz_is_read_at_xyz_and_nowhere_else(place):
     cells = 8
     unit = (torch.tensor([place]) + 0.5) / cells
     volume = scatter_max(torch.ones(1, 1), unit, torch.zeros(1).long(), 1, (cells,) * 3)
-    read = sample(volume, cell_centres(cells).reshape(1, -1, 3)).reshape(cells, cells, cells)
+    read = sample(volume, cell_centers(cells).reshape(1, -1, 3)).reshape(cells, cells, cells)
     expected = torch.zeros(cells, cells, cells)
     expected[place] = 1.0
     torch.testing.assert_close(read, expected, atol=1e-5, rtol=0)
 
 
-def test_a_linear_field_is_read_exactly_between_cell_centres(rng):
+def test_a_linear_field_is_read_exactly_between_cell_centers(rng):
     slopes = torch.tensor([1.0, -2.0, 0.5])
-    volume = (cell_centres(8) @ slopes)[None, None]
+    volume = (cell_centers(8) @ slopes)[None, None]
     queries = torch.from_numpy(rng.uniform(1 / 16, 15 / 16, (1, 100, 3))).float()
     torch.testing.assert_close(sample(volume, queries)[..., 0], queries @ slopes)
 
@@ -164,7 +164,7 @@ def test_a_flat_volume_reads_what_a_whole_one_does():
     whole = torch.rand(1, 3, 16, 16, 16)
     config = replace(TINY, volume=16, volume_depth=4)
     rng = np.random.default_rng(0)
-    # Between the centres of its outermost cells: beyond them a flat volume goes on as it ends.
+    # Between the centers of its outermost cells: beyond them a flat volume goes on as it ends.
     queries = torch.from_numpy(rng.uniform(0.41, 0.59, (1, 50, 3))).float()
     read = sample(whole[..., 6:10], in_box(queries, config))
     torch.testing.assert_close(read, sample(whole, queries))

@@ -134,7 +134,7 @@ def test_errors_up_to_symmetry_forgive_a_look_alike_and_plain_ones_do_not(tmp_pa
         assert float(found["median_error_as_drawn_mm"].min()) > 20.0
 
 
-def test_canonical_errors_are_in_millimetres(tmp_path):
+def test_canonical_errors_are_in_millimeters(tmp_path):
     examples = examples_of(tmp_path, "tshirt", count=2)
     batch = collate([examples[index, 0] for index in range(2)])
     stage = canonicalisation_stage(TINY, "tshirt")

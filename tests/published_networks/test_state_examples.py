@@ -68,7 +68,7 @@ def test_pixels_points_and_labels_agree(tmp_path, kind):
         assert example.labelled.mean() > 0.97
         gap, nearest = cKDTree(example.surface).query(example.unit[example.labelled])
         assert np.percentile(gap, 90) < 0.012
-        # Material points a few millimetres apart on the cloth lie a few millimetres apart.
+        # Material points a few millimeters apart on the cloth lie a few millimeters apart.
         way = np.linalg.norm(example.positions[nearest] - example.points[example.labelled], axis=1)
         assert np.median(way) < 0.006
         assert np.percentile(way, 95) < 0.015
@@ -127,8 +127,8 @@ def test_the_camera_still_sees_its_cloth(mirror, angle):
     assert dense.query(points)[0].max() < 0.03
     shown = picture.faces[picture.mask & (picture.depth_m > 0)]
     corners = garment("tshirt", vertex_count=600).faces[shown]
-    centres = picture.positions[corners].mean(axis=1)
-    assert np.linalg.norm(points - centres, axis=1).max() < 0.03
+    centers = picture.positions[corners].mean(axis=1)
+    assert np.linalg.norm(points - centers, axis=1).max() < 0.03
 
 
 def test_winding_numbers_are_those_of_the_labelled_garment():
@@ -162,9 +162,9 @@ def test_rotations_are_even(shirts):
     angles = []
     for epoch in range(24):
         example = examples[0, epoch]
-        centred = example.points[:, :2] - example.points[:, :2].mean(axis=0)
+        centerd = example.points[:, :2] - example.points[:, :2].mean(axis=0)
         along = example.unit[:, 1] - example.unit[:, 1].mean()
-        angles.append(np.arctan2(*(centred * along[:, None]).sum(axis=0)[::-1]))
+        angles.append(np.arctan2(*(centerd * along[:, None]).sum(axis=0)[::-1]))
     quarters = np.bincount(((np.array(angles) + np.pi) / (np.pi / 2)).astype(int) % 4, minlength=4)
     assert (quarters >= 2).all()
 
@@ -239,7 +239,7 @@ def test_the_labels_of_a_long_towel_are_those_of_a_wide_one():
 
 def test_a_state_that_cannot_be_rendered_is_replaced_by_another(tmp_path):
     mesh = garment("towel", vertex_count=300)
-    # All vertices within a tenth of a millimetre: no camera measures cloth there.
+    # All vertices within a tenth of a millimeter: no camera measures cloth there.
     nothing = (1e-4 * np.asarray(mesh.vertices) + [0.0, 0.0, 0.005]).astype(np.float32)
     whole = crumpled(mesh).astype(np.float32)
     for name, positions in (("one", [nothing, whole, whole, whole]), ("all", [nothing] * 4)):

@@ -40,7 +40,7 @@ def exact_field(mesh, kind, config=SMALL):
     frame = canonical_frame(kind)
     grid = field_grid(frame, config)
     numbers = igl.fast_winding_number(
-        mesh.canonical.astype(np.float64), mesh.faces.astype(np.int64), frame.to_metres(grid.nodes)
+        mesh.canonical.astype(np.float64), mesh.faces.astype(np.int64), frame.to_meters(grid.nodes)
     )
     return numbers.reshape(grid.shape)
 
@@ -124,9 +124,9 @@ def test_the_box_of_the_grid_holds_every_garment_of_the_category():
         for config in (SMALL, replace(SMALL, grid=40)):
             nodes = field_grid(frame, config).nodes
             half = np.array(frame.half_m)
-            metres = frame.to_metres(nodes)
-            assert (metres.max(axis=0) > half).all()
-            assert (metres.min(axis=0) < -half).all()
+            meters = frame.to_meters(nodes)
+            assert (meters.max(axis=0) > half).all()
+            assert (meters.min(axis=0) < -half).all()
             assert nodes.min() >= 0
             assert nodes.max() <= 1
 

@@ -34,9 +34,9 @@ def test_no_other_turn_is_better(rng):
     weights = rng.random(len(world))
 
     def remainder(rotation):
-        centred = (world - weights @ world / weights.sum()) @ rotation.T
+        centerd = (world - weights @ world / weights.sum()) @ rotation.T
         target = canonical - weights @ canonical / weights.sum()
-        return weights @ ((centred - target) ** 2).sum(axis=1)
+        return weights @ ((centerd - target) ** 2).sum(axis=1)
 
     best = remainder(align(world, canonical, weights).rotation)
     for degrees in np.linspace(0, 360, 73):

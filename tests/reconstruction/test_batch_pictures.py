@@ -91,7 +91,7 @@ def test_the_rasterizer_is_that_of_warp(kind):
         either = (face >= 0) | (expected.faces >= 0)
         shown, same = shown + either.sum(), same + (face == expected.faces)[either].sum()
         both = (face >= 0) & (expected.faces >= 0)
-        # The perfect sensor measures whole micrometres.
+        # The perfect sensor measures whole micrometers.
         gap = np.abs(picture.depth[0].numpy() - expected.depth)[both]
         assert np.percentile(gap, 99.9) < 1e-4
     assert same / shown > 0.995

@@ -24,7 +24,7 @@ from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 
 @pytest.fixture
 def picture(tmp_path):
-    """A towel of 20 cm, 10 mm thick so that it stands out, 0.7 m under a camera; millimetres."""
+    """A towel of 20 cm, 10 mm thick so that it stands out, 0.7 m under a camera; millimeters."""
     depth = np.full((120, 160), 700, np.uint16)
     depth[38:82, 58:102] = 690
     path = tmp_path / "depth.png"

@@ -106,10 +106,10 @@ def test_says_what_is_missing(
         flat_fit(recording(cloth, table), cloud(np.zeros((points, 3))))
 
 
-def test_a_template_in_millimetres_is_told(tmp_path: Path) -> None:
+def test_a_template_in_millimeters_is_told(tmp_path: Path) -> None:
     flat = garment("towel", vertex_count=100, size_m=(0.3, 0.2))
     file = tmp_path / "towel.npz"
     write_template(flat.with_vertices(1000.0 * flat.vertices), file)
     points = laid_out("towel", (0.3, 0.2), 0.4)
-    with pytest.raises(InvalidMeshError, match=r"towel\.npz: .*150 m .* in metres"):
+    with pytest.raises(InvalidMeshError, match=r"towel\.npz: .*150 m .* in meters"):
         flat_fit(recording(ClothDescription("towel")), cloud(points), template=str(file))

@@ -12,10 +12,10 @@ PIXELS, DISTANCE_M, FOCAL = 64, 1.0, 100.0
 
 def seen_surface(height_m: Float[np.ndarray, "height width"]) -> SeenCloth:
     """Return what a camera 1 m over the table sees of cloth at heights [m]; 0 where none is."""
-    centre = 0.5 * (PIXELS - 1)
+    center = 0.5 * (PIXELS - 1)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = DISTANCE_M
-    camera = Camera("above", PIXELS, PIXELS, FOCAL, FOCAL, centre, centre, pose)
+    camera = Camera("above", PIXELS, PIXELS, FOCAL, FOCAL, center, center, pose)
     seen = height_m > 0.0
     return SeenCloth(camera, np.where(seen, DISTANCE_M - height_m, 0.0), seen, 0.0)
 

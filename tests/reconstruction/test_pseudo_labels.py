@@ -209,7 +209,7 @@ def test_a_replaced_array_is_noticed_and_labels_without_digests_are_read(
     assert "without SHA-256" in caplog.text
 
 
-def test_positions_that_are_no_metres_are_refused(recording, tmp_path):
+def test_positions_that_are_no_meters_are_refused(recording, tmp_path):
     one = labelled(recording)
     far = replace(one.pictures[0], positions=one.pictures[0].positions + 1e30)
     path = tmp_path / "fold.labels.npz"

@@ -163,24 +163,24 @@ def test_an_outline_has_its_own_symmetries(
     assert mirrored == (tokens.mirror != np.arange(TOKENS)).any()
 
 
-def test_the_halves_of_an_open_front_are_not_neighbours() -> None:
+def test_the_halves_of_an_open_front_are_not_neighbors() -> None:
     tokens = GarmentTokens.of(meshes()["cardigan"])
     front, x = tokens.features[:, 2] > 0.0, tokens.canonical[:, 0]
     for side in (x > 0.01, x < -0.01):
-        near = tokens.neighbours[front & side]
+        near = tokens.neighbors[front & side]
         assert (x[near] * np.sign(x[front & side])[:, None] > -1e-6).all()
 
 
-def test_neighbours_are_neighbours_through_the_cloth() -> None:
+def test_neighbors_are_neighbors_through_the_cloth() -> None:
     mesh = shirt(replace(LONG_SLEEVES, sleeve_angle_rad=1.05), 0.6, vertex_count=1500)
     tokens = GarmentTokens.of(mesh)
     body = np.abs(tokens.canonical[:, 0]) < 0.3 * 0.74 * 0.6
     low = tokens.canonical[:, 1] < 0.0
     cuff = np.abs(tokens.canonical[:, 0]) > 0.55 * np.abs(tokens.canonical[:, 0]).max()
     assert (cuff & low).any()
-    near = tokens.neighbours[cuff & low]
+    near = tokens.neighbors[cuff & low]
     assert not (body & low)[near].any()
-    np.testing.assert_array_equal(tokens.neighbours[:, 0], np.arange(TOKENS))
+    np.testing.assert_array_equal(tokens.neighbors[:, 0], np.arange(TOKENS))
 
 
 def test_pixels_are_named_by_the_tokens_around_what_they_show(told) -> None:

@@ -96,7 +96,7 @@ def test_what_hides_behind_a_step_stays_empty():
     ("change", "message"),
     [
         (lambda depth: depth * 0.0, "0 pixels of cloth"),
-        (lambda depth: depth * 1000.0, "millimetres"),
+        (lambda depth: depth * 1000.0, "millimeters"),
         (lambda depth: depth[:100], "320 x 100"),
     ],
 )

@@ -16,7 +16,7 @@ def test_a_valid_recording_is_described(write, tmp_path):
     for words in (
         "a valid recording",
         "5, from 0 to 2 s",
-        "colour, depth, masks",
+        "color, depth, masks",
         "64 x 48, fx 60.0, at (0.000 0.000 0.600) m",
         "2: 0-2 by arm, 2-4 by arm",
         "towel, blue, 0.1 x 0.1 m, template of 4 vertices, held by arm",

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from clothtrack.recordings.numbered_points import NEIGHBOURS, NOBODY, NumberedPoints
+from clothtrack.recordings.numbered_points import NEIGHBORS, NOBODY, NumberedPoints
 
 
 def row_of(count):
-    """Points a centimetre apart in a row, and where they are [m]."""
+    """Points a centimeter apart in a row, and where they are [m]."""
     pixels = np.column_stack([10.0 * np.arange(count), np.zeros(count)]).astype(np.float32)
     positions = np.column_stack([0.001 * pixels, np.zeros(count)]).astype(float)
     points = NumberedPoints.fresh(np.arange(count), pixels)
-    return points.with_neighbours(positions, np.ones(count, bool)), positions
+    return points.with_neighbors(positions, np.ones(count, bool)), positions
 
 
 def test_points_stay_in_the_order_of_their_numbers():
@@ -45,10 +45,10 @@ def test_those_that_are_lost_have_no_say():
     assert not NumberedPoints.none().near_each_other(np.zeros((0, 3))).any()
 
 
-def test_fewer_points_than_neighbours_have_nobody_beside_them():
+def test_fewer_points_than_neighbors_have_nobody_beside_them():
     points, positions = row_of(3)
-    assert points.beside.shape == (3, NEIGHBOURS)
+    assert points.beside.shape == (3, NEIGHBORS)
     assert (points.beside[:, 2:] == NOBODY).all()
     assert points.near_each_other(positions).all()
-    nobody = points.with_neighbours(positions, np.zeros(3, bool))
+    nobody = points.with_neighbors(positions, np.zeros(3, bool))
     np.testing.assert_array_equal(nobody.beside, points.beside)

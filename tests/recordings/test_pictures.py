@@ -26,7 +26,7 @@ def test_header_tells_size_and_bits(tmp_path):
 
 
 @pytest.mark.parametrize("bits", [np.uint8, np.uint16])
-def test_grey_is_kept_exactly(tmp_path, bits):
+def test_gray_is_kept_exactly(tmp_path, bits):
     picture = RNG.integers(0, np.iinfo(bits).max + 1, (31, 17)).astype(bits)
     (tmp_path / "a.png").write_bytes(encode_png(picture))
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png"), -1), picture)

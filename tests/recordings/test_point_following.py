@@ -34,7 +34,7 @@ def cut(picture, shift_px):
 
 
 def as_color(gray):
-    """A grey colour picture of a brightness."""
+    """A gray color picture of a brightness."""
     return np.clip(np.rint(gray), 0, 255).astype(np.uint8)[..., None].repeat(3, 2)
 
 
@@ -232,7 +232,7 @@ def test_a_faint_weave_is_followed_in_a_noisy_picture(tmp_path):
     assert np.abs(moved - (6.0, -3.0)).max() < 1.0
 
 
-def test_a_point_that_runs_away_from_its_neighbours_is_lost(tmp_path):
+def test_a_point_that_runs_away_from_its_neighbors_is_lost(tmp_path):
     """A patch of the print slides by 6 cm: another thing, not this cloth."""
     still = cut(printed(), (0.0, 0.0))
     grays = []
@@ -258,7 +258,7 @@ def test_no_point_is_chosen_or_kept_where_two_layers_meet(tmp_path):
     assert not near_step.any()
 
 
-def test_a_picture_without_colour_is_passed_over(tmp_path):
+def test_a_picture_without_color_is_passed_over(tmp_path):
     recording = recorded(tmp_path / "r", [weave((2.0 * index, 0.0)) for index in range(4)])
     recording.frames[2].color.clear()
     found = followed(recording)

@@ -24,7 +24,7 @@ def overlap(a, b):
     return (a & b).sum() / (a | b).sum()
 
 
-def test_a_printed_cloth_is_followed_by_the_colours_of_its_first_frame(data):
+def test_a_printed_cloth_is_followed_by_the_colors_of_its_first_frame(data):
     folder = data / "hanging-cloth-rgbd"
     camera = camera_of(folder)
     first = read_color(folder / "color/000.png")

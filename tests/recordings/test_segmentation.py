@@ -54,7 +54,7 @@ def overlap(mask, truth=TRUE):
         ("grey", (120, 122, 125), WOOD),
     ],
 )
-def test_a_named_colour_is_found(name, cloth, ground):
+def test_a_named_color_is_found(name, cloth, ground):
     color, depth = scene(cloth, ground)
     segmenter = ColorSegmenter.from_name(name)
     assert overlap(segmenter(color, depth, CAMERA, TABLE)) > 0.97
@@ -79,7 +79,7 @@ def test_a_learned_cloth_is_found_elsewhere():
     assert overlap(mask, np.roll(TRUE, 25, axis=1)) > 0.97
 
 
-def test_height_decides_where_cloth_and_table_have_one_colour():
+def test_height_decides_where_cloth_and_table_have_one_color():
     color, depth = scene((225, 225, 220), (235, 235, 235), height_m=0.012)
     segmenter = ColorSegmenter.from_name("white")
     assert overlap(segmenter(color, depth, CAMERA, TABLE)) > 0.97
@@ -165,7 +165,7 @@ def test_votes_are_looked_up_by_the_five_highest_bits():
     np.testing.assert_array_equal(votes_of(color, members), members[red, green, blue])
 
 
-def test_every_named_colour_has_a_core_and_no_hue_is_in_all():
+def test_every_named_color_has_a_core_and_no_hue_is_in_all():
     sets = {name: named_set(name) for name in NAMED_COLORS}
     assert all((members != NO).any() for members in sets.values())
     assert sets["red"][31, 2, 2]
@@ -183,7 +183,7 @@ def test_every_named_colour_has_a_core_and_no_hue_is_in_all():
         (lambda color: ColorSegmenter.from_click(color, 160, 5), "outside the picture"),
         (
             lambda color: ColorSegmenter.from_box(np.full_like(color, 90), (10, 10, 60, 60)),
-            "no colour of the cloth differs",
+            "no color of the cloth differs",
         ),
     ],
 )
@@ -192,8 +192,8 @@ def test_what_cannot_be_learned_says_why(make, words):
         make(scene()[0])
 
 
-def test_colour_needs_a_colour_picture():
-    with pytest.raises(InvalidRecordingError, match="no colour picture"):
+def test_color_needs_a_color_picture():
+    with pytest.raises(InvalidRecordingError, match="no color picture"):
         ColorSegmenter.from_name("blue")(None, scene()[1], CAMERA, None)
 
 
@@ -212,7 +212,7 @@ def test_masks_come_from_their_files(tmp_path):
         MaskFolder({})(None, depth, CAMERA, None)
 
 
-def test_the_default_is_masks_then_colour_then_height(write, tmp_path):
+def test_the_default_is_masks_then_color_then_height(write, tmp_path):
     recording = write(tmp_path / "r")
     full = recording.frames[0]
     camera = recording.cameras[0]

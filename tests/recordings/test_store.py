@@ -58,7 +58,7 @@ def test_everything_else_comes_back_exactly(tmp_path, write, square):
         np.testing.assert_array_equal(read_mask(a.mask["top"]), read_mask(b.mask["top"]))
 
 
-def test_colour_keeps_red_first(tmp_path, camera):
+def test_color_keeps_red_first(tmp_path, camera):
     red = np.zeros((48, 64, 3), np.uint8)
     red[..., 0] = 200
     with RecordingWriter(tmp_path / "r", [camera], {"top": 0.001}) as writer:

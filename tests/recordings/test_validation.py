@@ -53,7 +53,7 @@ FILES = {
     ),
     "8-bit depth": (
         rewrite_depth(lambda depth: (depth // 4).astype(np.uint8)),
-        ["depth/000000.png", "bits is 8", "write depth as one 16-bit grey channel"],
+        ["depth/000000.png", "bits is 8", "write depth as one 16-bit gray channel"],
     ),
     "picture size": (
         rewrite_depth(lambda depth: depth[:40]),
@@ -90,11 +90,11 @@ FILES = {
     ),
     "picker beyond all numbers": (
         replace_text("picker.csv", "0.1,0.0,0.3", "0.1,1e200,0.3"),
-        ["picker.csv", "(0.1, 1e+200, 0.3)", "inf m from the nearest camera", "write metres"],
+        ["picker.csv", "(0.1, 1e+200, 0.3)", "inf m from the nearest camera", "write meters"],
     ),
-    "picker in millimetres": (
+    "picker in millimeters": (
         replace_text("picker.csv", "0.1,0.0,0.3", "100,0,30000"),
-        ["picker.csv", "x_m, y_m, z_m of picker 'arm' at", "(100, 0, 30000)", "write metres"],
+        ["picker.csv", "x_m, y_m, z_m of picker 'arm' at", "(100, 0, 30000)", "write meters"],
     ),
     "CSV head": (
         replace_text("picker.csv", "x_m", "x_mm"),
@@ -138,7 +138,7 @@ FILES = {
     ),
     "canonical text": (
         lambda folder: (folder / "template_canonical.csv").write_text("x_m,y_m,z_m\n0,a,0\n"),
-        ["template_canonical.csv", "line 2", "write metres"],
+        ["template_canonical.csv", "line 2", "write meters"],
     ),
 }
 
@@ -158,7 +158,7 @@ def several(*changes):
 DOCUMENT = {
     "unit": (
         camera_field("depth_unit_m", 1),
-        ["depth/000000.png", "median depth is 500 m", "depth_unit_m = 1", "0.001 for millimetres"],
+        ["depth/000000.png", "median depth is 500 m", "depth_unit_m = 1", "0.001 for millimeters"],
     ),
     "unit of tenths": (
         camera_field("depth_unit_m", 1e-5),
@@ -229,9 +229,9 @@ DOCUMENT = {
         lambda document: document["cloth"].update(template=None, template_canonical=None),
         ["recording.json", "cloth.held_vertices.arm", "no template", "add cloth.template"],
     ),
-    "colour name": (
+    "color name": (
         lambda document: document["cloth"].update(color="bleu"),
-        ["recording.json", 'cloth.color is "bleu"', "unknown colour name", "blue"],
+        ["recording.json", 'cloth.color is "bleu"', "unknown color name", "blue"],
     ),
     "cloth kind": (
         lambda document: document["cloth"].update(kind="sock"),

@@ -158,7 +158,7 @@ def _recording(folder: Path, cameras: tuple[Camera, ...], frames: tuple[Frame, .
 
 @pytest.fixture(scope="session")
 def two_cameras(tmp_path_factory: pytest.TempPathFactory, tracked: TrackedTrajectory) -> Recording:
-    """Colour, depth and mask from above and from the side."""
+    """Color, depth and mask from above and from the side."""
     folder = tmp_path_factory.mktemp("two_cameras")
     cameras = (
         look_at(np.array([0.0, 0.0, 0.8]), np.zeros(3), width=160, height=120, name="top"),

@@ -37,7 +37,7 @@ def test_a_mesh_has_a_page(tracked, tmp_path):
     assert "30.0 by 30.0 by 0.0" in text
 
 
-def test_a_mesh_is_coloured_by_the_error_that_its_file_keeps(tracked, tmp_path):
+def test_a_mesh_is_colored_by_the_error_that_its_file_keeps(tracked, tmp_path):
     errors = np.linspace(0.0, 0.04, tracked.mesh.vertex_count)
     path = write_mesh_page(tracked.mesh, "m", tmp_path / "m.html", expected_error_m=errors)
     text = path.read_text(encoding="utf-8")

@@ -48,13 +48,13 @@ def test_a_point_is_drawn_where_the_camera_sees_it():
     assert len(rows) == 4
 
 
-def test_colour_is_preferred_to_depth_and_depth_to_points(two_cameras):
+def test_color_is_preferred_to_depth_and_depth_to_points(two_cameras):
     camera, frame = two_cameras.cameras[0].resized(80), two_cameras.frames[0]
     middle = (30, 40)
     colored = view_picture(two_cameras, frame, camera, NOTHING)[middle]
     assert colored[0] > colored[2] + 50
-    grey = view_picture(two_cameras, replace(frame, color={}), camera, NOTHING)[middle]
-    assert grey[0] == grey[2] > 0
+    gray = view_picture(two_cameras, replace(frame, color={}), camera, NOTHING)[middle]
+    assert gray[0] == gray[2] > 0
     bare = replace(frame, color={}, depth={})
     paper = view_picture(two_cameras, bare, camera, NOTHING)
     assert (paper == paper[0, 0]).all()

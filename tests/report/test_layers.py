@@ -19,7 +19,7 @@ def zigzag(vertices, *, leaves):
 
 
 def inner(vertices, leaves):
-    """Vertices whose whole neighbourhood lies on one leaf."""
+    """Vertices whose whole neighborhood lies on one leaf."""
     x = np.asarray(vertices)[:, 0] + 0.15
     to_fold = np.abs(x[:, None] - np.arange(leaves + 1) * 0.3 / leaves).min(axis=1)
     return (to_fold > 0.03) & (np.abs(np.asarray(vertices)[:, 1]) < 0.12)

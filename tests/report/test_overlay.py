@@ -48,7 +48,7 @@ def test_only_the_hidden_part_is_drawn_in_the_hidden_hue(tracked, two_cameras):
     assert columns.min() >= pixels[:, 0].min() - view.columns.start - 12
 
 
-def test_the_colour_of_the_cloth_does_not_make_it_look_hidden(tracked, two_cameras, monkeypatch):
+def test_the_color_of_the_cloth_does_not_make_it_look_hidden(tracked, two_cameras, monkeypatch):
     bare = replace(two_cameras, picker_paths={})
     all_seen = replace(tracked, visible=np.ones_like(tracked.visible))
     overlay = Overlay(all_seen, bare, config=replace(SMALL, cameras=1, wires=0.0))

@@ -114,7 +114,7 @@ def test_layers_come_apart_and_let_look_through(opened):
         assert page.complaints() == []
 
 
-def test_the_cloth_takes_the_colours_that_are_chosen(opened, tracked):
+def test_the_cloth_takes_the_colors_that_are_chosen(opened, tracked):
     rest = tracked.mesh.vertices
     known = replace(tracked, mesh=ClothMesh(rest, tracked.mesh.faces, rest))
     positions = known.positions.astype(float) + (0.0, 0.0, 0.02)

@@ -12,5 +12,5 @@ def test_heat_runs_from_calm_to_red_and_stays_there():
     assert colors[3, 0] > colors[3, 2]
 
 
-def test_style_sheets_read_the_colours():
+def test_style_sheets_read_the_colors():
     assert hexadecimal((1.0, 0.0, 0.502)) == "#ff0080"

@@ -193,7 +193,7 @@ def test_from_the_camera_the_scene_lies_where_the_picture_has_it(opened):
         page.wait_for(f"{CAMERA} === 'free' && document.querySelector('[name=view]').value === ''")
 
 
-def test_the_pointer_tells_vertex_layer_and_millimetres(opened):
+def test_the_pointer_tells_vertex_layer_and_millimeters(opened):
     with opened() as page:
         page.wait_for(READY)
         page.ask(MOVE_BAR % (5, 5))

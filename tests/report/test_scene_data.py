@@ -61,14 +61,14 @@ def test_the_browser_gets_every_frame_within_half_a_grain(tracked):
 
 
 def test_a_scene_of_any_size_keeps_its_shape(tracked):
-    """A cloth that flies ten metres far has a coarser grain, and differences that wrap around."""
+    """A cloth that flies ten meters far has a coarser grain, and differences that wrap around."""
     far = np.stack([p * 1.0 + (10.0 * (k % 2), 0, 0) for k, p in enumerate(tracked.positions)])
     header, arrays = unpacked(contents(tracked, positions=far.astype(np.float32)))
     np.testing.assert_allclose(arrays["positions"], far, atol=0.51 * header["grain"])
     assert header["grain"] < 4e-4
 
 
-def test_every_observed_point_keeps_its_colour(tracked, rng):
+def test_every_observed_point_keeps_its_color(tracked, rng):
     clouds = [rng.uniform(-0.2, 0.2, (50 * (k + 1), 3)) for k in range(len(tracked.frames))]
     red_right = [np.where(p[:, :1] > 0, (200, 0, 0), (0, 0, 200)).astype(np.uint8) for p in clouds]
     header, arrays = unpacked(contents(tracked, clouds=clouds, cloud_colors=red_right))

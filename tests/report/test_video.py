@@ -7,8 +7,8 @@ from clothtrack.report.video import frame_rate, write_video
 
 
 def test_a_browser_gets_what_was_drawn(tmp_path):
-    greys = [40, 90, 140, 190, 240]
-    pictures = (np.full((61, 83, 3), grey, dtype=np.uint8) for grey in greys)
+    grays = [40, 90, 140, 190, 240]
+    pictures = (np.full((61, 83, 3), gray, dtype=np.uint8) for gray in grays)
     assert write_video(pictures, tmp_path / "v.mp4", frames_per_second=12.5) == 5
     with av.open(str(tmp_path / "v.mp4")) as container:
         stream = container.streams.video[0]
@@ -16,7 +16,7 @@ def test_a_browser_gets_what_was_drawn(tmp_path):
         assert (stream.width, stream.height) == (84, 62)
         assert float(stream.average_rate) == 12.5
         shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
-    np.testing.assert_allclose([picture.mean() for picture in shown], greys, atol=4)
+    np.testing.assert_allclose([picture.mean() for picture in shown], grays, atol=4)
 
 
 def test_no_picture_is_no_video(tmp_path):

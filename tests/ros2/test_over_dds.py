@@ -160,7 +160,7 @@ def check_received(received, recording, published):
         np.testing.assert_array_equal(received["visible"][k], visible)
         colors = received["colors"][k].reshape(-1, 3, 4)
         np.testing.assert_array_equal(colors[..., 3], np.where(visible[faces], 1.0, 0.5))
-        # Red grows with the error, and what is not known is grey.
+        # Red grows with the error, and what is not known is gray.
         worst, best = (faces == np.nanargmax(error)), (faces == np.nanargmin(error))
         assert colors[worst][0, 0] > colors[best][0, 0]
         unknown = colors[np.isnan(error)[faces]][:, :3]

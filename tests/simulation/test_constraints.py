@@ -5,10 +5,10 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.constraints import bend_constraints, stretch_constraints
 
 
-def test_no_two_pairs_of_one_colour_share_a_vertex():
+def test_no_two_pairs_of_one_color_share_a_vertex():
     mesh = towel(0.08, 0.06, 0.01)
     for constraints in (stretch_constraints(mesh), bend_constraints(mesh)):
-        for first, count in constraints.colours:
+        for first, count in constraints.colors:
             vertices = constraints.pairs[first : first + count].ravel()
             assert len(np.unique(vertices)) == len(vertices)
 

@@ -21,7 +21,7 @@ def flat_mesh(vertices: np.ndarray, faces: np.ndarray) -> ClothMesh:
 def two_roofs(gap_m: float) -> ClothMesh:
     """Two roofs of two triangles, the upper one upside down and turned by 90 degrees.
 
-    Their ridges cross in the middle; every vertex is centimetres from the other roof.
+    Their ridges cross in the middle; every vertex is centimeters from the other roof.
     """
     lower = np.array([[-0.03, 0, 0], [0.03, 0, 0], [0, 0.03, -0.02], [0, -0.03, -0.02]])
     upper = lower[:, [1, 0, 2]] * (1.0, 1.0, -1.0) + (0.0, 0.0, gap_m)

@@ -9,7 +9,7 @@ MESH = towel(0.12, 0.1, 0.01, pattern="random")
 
 
 @pytest.mark.parametrize("buckling", [1.0, 20.0])
-def test_all_colours_at_once_are_the_colours_one_after_the_other(buckling):
+def test_all_colors_at_once_are_the_colors_one_after_the_other(buckling):
     softness = [ClothParameters(1e-5, 1.0), ClothParameters(0.0, 100.0)]
     config = SolverConfig(buckling=buckling)
     solver = ClothSolver(MESH, config, parameters=softness, environments=2)
@@ -25,7 +25,7 @@ def test_all_colours_at_once_are_the_colours_one_after_the_other(buckling):
     solver._launch_constraints()
     at_once = solver.positions
     solver.place(shape)
-    # As on a GPU: one launch for each colour.
+    # As on a GPU: one launch for each color.
     solver._stretch._is_cpu = solver._bend._is_cpu = False
     solver._launch_constraints()
 

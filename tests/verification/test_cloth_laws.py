@@ -294,7 +294,7 @@ def test_a_resting_cloth_sleeps_and_a_cloth_in_the_air_does_not():
     assert (aloft.positions[0, :, 2] < 0.49).all()
 
 
-def test_a_resting_cloth_that_is_pulled_by_a_fraction_of_a_millimetre_moves():
+def test_a_resting_cloth_that_is_pulled_by_a_fraction_of_a_millimeter_moves():
     mesh = sheet(0.05, 0.0015)
     solver = ClothSolver(mesh, SolverConfig(table=FLOOR))
     solver.step(0.2)

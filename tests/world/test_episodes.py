@@ -46,7 +46,7 @@ def test_recording_is_valid_and_complete(out: Path) -> None:
     assert np.allclose(np.diff([frame.time_s for frame in recording.frames]), 0.05)
 
 
-def test_a_print_changes_nothing_but_the_colour_pictures(out: Path, tmp_path: Path) -> None:
+def test_a_print_changes_nothing_but_the_color_pictures(out: Path, tmp_path: Path) -> None:
     simulate(tmp_path, "towel", 1, seed=3, config=replace(TINY, printed=True))
     plain, printed = (each / "recordings" / "towel_0003" for each in (out, tmp_path))
     files = [each.relative_to(plain) for each in plain.rglob("*") if each.is_file()]

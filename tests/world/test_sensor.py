@@ -110,7 +110,7 @@ def test_tool_hides_cloth_and_leaves_through_the_border() -> None:
 
 
 @pytest.mark.parametrize("name", CLOTH_COLORS)
-def test_cloth_table_and_tool_differ_by_colour(name: str) -> None:
+def test_cloth_table_and_tool_differ_by_color(name: str) -> None:
     config = SensorConfig.perfect(**SMALL)
     scene, vertices = make_scene(config)
     tip = np.array([0.0, 0.0, 0.06])

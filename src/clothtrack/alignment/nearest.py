@@ -1,4 +1,4 @@
-"""Nearest neighbours between a cloud and a moving mesh, exact in every iteration of a solver."""
+"""Nearest neighbors between a cloud and a moving mesh, exact in every iteration of a solver."""
 
 from collections.abc import Callable
 from functools import partial
@@ -71,7 +71,7 @@ class MovingGrid:
         self.recorded = wp.zeros(points, dtype=wp.vec3, device=device)
         self.cells = kernels.Grid()
         self.cells.origin = wp.vec3(*np.asarray(lower, np.float64).tolist())
-        self.cells.cells_per_metre = 1.0 / cell_m
+        self.cells.cells_per_meter = 1.0 / cell_m
         self.cells.width, self.cells.height, self.cells.depth = (int(c) for c in counts)
         # One more than there are cells: the scan's last entry is the end of the last cell.
         self.cells.first = wp.zeros(cells + 1, dtype=wp.int32, device=device)
@@ -112,7 +112,7 @@ class Matcher:
         positions: vertices [m], on the device; the solver overwrites them.
         visible: vertices that a cloud point can belong to; at least one.
         trusted: vertices that look for a cloud point themselves.
-        spacing_m: typical distance of neighbouring vertices [m]: sizes the cells.
+        spacing_m: typical distance of neighboring vertices [m]: sizes the cells.
         range_m: smallest and largest distance of a vertex's partner [m].
     """
 

@@ -1,10 +1,10 @@
-"""Warp kernels that keep nearest neighbours exact while vertices move a little at a time.
+"""Warp kernels that keep nearest neighbors exact while vertices move a little at a time.
 
-A search remembers the distance of the runner-up. As long as the nearest neighbour is closer than
+A search remembers the distance of the runner-up. As long as the nearest neighbor is closer than
 the runner-up can have come since (its distance then, less the way that has been moved), it is
 still the nearest, and one distance replaces a search: the triangle inequality as in G. Hamerly,
 "Making k-means even faster" (SDM 2010, doi:10.1137/1.9781611972801.12). Otherwise a uniform grid
-is searched, in a ball around the present neighbour's distance. The grid may hold positions from
+is searched, in a ball around the present neighbor's distance. The grid may hold positions from
 some steps ago: the ball grows by how far any vertex has gone since.
 
 The way is the longest step of the vertices nearby, summed over the iterations, not that of all:
@@ -13,7 +13,7 @@ longest step that ended in it or beside it. That bounds whatever was farther fro
 cell than some distance of at most the cell's edge: what comes nearer ends its step there.
 
 Ties go to the lower index and sums are integers (fixed point), so that the order of threads does
-not matter: CPU and GPU agree on the neighbours and every run repeats.
+not matter: CPU and GPU agree on the neighbors and every run repeats.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
@@ -23,16 +23,16 @@ from typing import no_type_check
 import warp as wp
 
 FIXED_POINT_LENGTH = 2.0**32
-"""Units per metre of summed positions."""
+"""Units per meter of summed positions."""
 
 FIXED_POINT_SQUARE = 2.0**44
-"""Units per square metre of summed squares."""
+"""Units per square meter of summed squares."""
 
 _LENGTH = wp.constant(FIXED_POINT_LENGTH)
 _SQUARE = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 _ROUNDING = wp.constant(1.0e-6)
 _SURELY_BESIDE = wp.constant(0.999)
-"""Points that are so many edges of a cell apart along an axis lie in one cell or in neighbours."""
+"""Points that are so many edges of a cell apart along an axis lie in one cell or in neighbors."""
 
 _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
 """An index under this mask is not negative: a compiler that knows need not ask at every access."""
@@ -44,7 +44,7 @@ class Grid:
     """A box of cubic cells, x fastest; what lies outside belongs to the nearest border cell."""
 
     origin: wp.vec3
-    cells_per_metre: wp.float32
+    cells_per_meter: wp.float32
     width: wp.int32
     height: wp.int32
     depth: wp.int32
@@ -75,7 +75,7 @@ class Progress:
 
 @no_type_check
 @wp.struct
-class _Neighbour:
+class _Neighbor:
     """The nearest item (-1: none in reach), its distance and a bound for every other item [m]."""
 
     item: wp.int32
@@ -86,7 +86,7 @@ class _Neighbour:
 @no_type_check
 @wp.func
 def _cell(grid: Grid, value: wp.float32, axis: wp.int32, count: wp.int32):
-    place = wp.floor((value - grid.origin[axis]) * grid.cells_per_metre)
+    place = wp.floor((value - grid.origin[axis]) * grid.cells_per_meter)
     return wp.int32(wp.clamp(place, 0.0, float(count - 1)))
 
 
@@ -166,7 +166,7 @@ def _search(
                     found = item
                 elif square < second:
                     second = square
-    result = _Neighbour()
+    result = _Neighbor()
     result.item = found
     result.distance = wp.sqrt(best)
     result.others = wp.sqrt(second)
@@ -256,12 +256,12 @@ def _match_point(
     else:
         cells[number] = _cell_of(grid, point)
     if search:
-        found = _Neighbour()
+        found = _Neighbor()
         if before < 0:
             found = _search_far(point, positions, grid, 4.0 * reach, 1.0e6, stale)
         else:
             found = _search(point, positions, grid, distance + reach, stale)
-        others = wp.min(found.others, _SURELY_BESIDE / grid.cells_per_metre)
+        others = wp.min(found.others, _SURELY_BESIDE / grid.cells_per_meter)
         limit[number] = others + progress.travelled[cells[number]]
         vertex = found.item
         if vertex != before and vertex >= 0:
@@ -305,7 +305,7 @@ def match_points(
         positions: the vertices now [m].
         grid: the visible vertices.
         progress: scalars of the run.
-        reach: how far beyond the neighbour a search looks [m].
+        reach: how far beyond the neighbor a search looks [m].
         nearest: vertex per point, -1 before the first search.
         cells: the grid's cell in which each point lies.
         limit: distance of the runner-up when it was searched, and `travelled` there then [m].
@@ -359,7 +359,7 @@ def match_vertices(
         cloud: the observed points [m].
         grid: the observed points' cells.
         progress: scalars of the run; counts the partners.
-        reach: how far beyond the neighbour a search looks [m].
+        reach: how far beyond the neighbor a search looks [m].
         shortest: smallest distance of partners [m].
         longest: largest distance of partners [m].
         nearest: cloud point per trusted vertex; -1: none was in reach.
@@ -377,7 +377,7 @@ def match_vertices(
     if item >= 0:
         distance = wp.length(cloud[item] - position)
         bound = distance
-    # Without a neighbour in reach, the first that could matter lies at `longest`.
+    # Without a neighbor in reach, the first that could matter lies at `longest`.
     if bound + moved + _ROUNDING > others[number]:
         # What was found before bounds the ball; the first search starts with a small one.
         ball = wp.where(item >= 0, distance, 3.0 * reach)

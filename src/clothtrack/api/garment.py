@@ -96,7 +96,7 @@ def garment_template(
     output: Path | str,
     vertex_count: Annotated[int, arg(name="vertices")] = 1000,
     mask: Path | str | None = None,
-    metres_per_pixel: float | None = None,
+    meters_per_pixel: float | None = None,
     depth_unit_m: DepthUnit = None,
     focal: float | None = None,
     frame: int | None = None,
@@ -109,13 +109,13 @@ def garment_template(
     Writes TEMPLATE.outline.png beside it: look at it before you use the template.
 
     Args:
-        picture: a recording, a 16-bit depth PNG, or a colour or mask PNG from straight above.
+        picture: a recording, a 16-bit depth PNG, or a color or mask PNG from straight above.
         kind: what it is.
         output: template to write: .npz, or .obj with its canonical coordinates beside it.
         vertex_count: about how many.
         mask: picture of where the garment is, for a PNG.
-        metres_per_pixel: on the table, for a colour or mask PNG.
-        depth_unit_m: metres per unit of a depth PNG; 0.001 if not given.
+        meters_per_pixel: on the table, for a color or mask PNG.
+        depth_unit_m: meters per unit of a depth PNG; 0.001 if not given.
         focal: focal length of a depth PNG's camera [pixels]; 0.94 of its width if not given.
         frame: of a recording; the first by default.
         front_neck_m: how deep the front's neck is cut [m]; a tenth of the length if not given.
@@ -141,20 +141,20 @@ def garment_template(
     require_template_format(output)
     options = _named(mask=mask and Path(mask), depth_unit_m=depth_unit_m, focal=focal)
     if picture.is_dir():
-        _refuse(options | _named(metres_per_pixel=metres_per_pixel), f"{picture} is a recording")
+        _refuse(options | _named(meters_per_pixel=meters_per_pixel), f"{picture} is a recording")
         flat = flat_recording(picture, frame or 0)
     elif read_header(picture).bits == 16:
-        _refuse(_named(frame=frame, metres_per_pixel=metres_per_pixel), f"{picture} has depth")
+        _refuse(_named(frame=frame, meters_per_pixel=meters_per_pixel), f"{picture} has depth")
         flat = flat_depth(picture, **options)
     else:
         options.pop("mask", None)
         _refuse(options | _named(frame=frame), f"{picture} has no depth")
-        if metres_per_pixel is None:
+        if meters_per_pixel is None:
             raise InvalidConfigError(
                 f"{picture}: a picture without depth does not say how large the garment is; add "
-                "--metres-per-pixel, a known length on the table over its pixels"
+                "--meters-per-pixel, a known length on the table over its pixels"
             )
-        flat = flat_color(picture, metres_per_pixel, mask=mask and Path(mask))
+        flat = flat_color(picture, meters_per_pixel, mask=mask and Path(mask))
     template = make_template(
         flat.outline,
         kind,

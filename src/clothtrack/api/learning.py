@@ -287,7 +287,7 @@ def reconstruct(
         refined: fine-tune the mesh to the picture.
         frame: of a recording; the first by default.
         mask: picture of where the cloth is, for a PNG; else what stands out of the table.
-        depth_unit_m: metres per unit of a PNG; 0.001 if not given.
+        depth_unit_m: meters per unit of a PNG; 0.001 if not given.
         focal: focal length of a PNG's camera [pixels]; 0.94 of its width if not given.
         table_distance_m: from a PNG's camera, looking straight down, to the table [m]; if not
             given, the table's plane is fitted to the depth.
@@ -358,7 +358,7 @@ def _reconstructed(
     shown = _depth_input(picture, named, frame, of_picture)
     if size_m is not None and not all(0.0 < side < float("inf") for side in size_m):
         raise InvalidConfigError(
-            f"the size is {size_m[0]:g} x {size_m[1]:g} m; give width and length in metres, above 0"
+            f"the size is {size_m[0]:g} x {size_m[1]:g} m; give width and length in meters, above 0"
         )
     if size_m is not None and template is not None:
         raise InvalidConfigError("a template has its size; give either a size or a template")

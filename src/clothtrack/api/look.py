@@ -77,7 +77,7 @@ def view(
             file; in Python also a run, a recording or a mesh itself.
         recordings: for trajectories: the recording, or the folder in which recordings lie by name;
             by default it is looked for as by `load`.
-        truth: truth file, or the folder in which NAME.npz lie; colours the error against it.
+        truth: truth file, or the folder in which NAME.npz lie; colors the error against it.
         html: write one self-contained page here instead of serving; of a folder of trajectories,
             the index, with the reports beside it.
         progress: called for each trajectory of a folder.

@@ -176,7 +176,7 @@ def track(
         mode: one of `MODES`: our default, the paper's method, or the dynamics alone.
         settings: changes to the configuration, such as "search.method=none".
         device: "cpu" or "cuda:0".
-        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+        segmenter: finds the cloth in a picture; the recording's masks or colors by default.
         progress: called after every frame with its place in the work, and how much of the work is
             done and in all.
         force: track although the first mesh lies more than 2 cm (rms) from its cloud, or times are

@@ -89,7 +89,7 @@ def chamfer_pc(
 ) -> float:
     """Visible vertices against the observed cloud [m^2]: both directions, summed.
 
-    Each direction is the mean squared distance to the nearest neighbour, which is the unit that
+    Each direction is the mean squared distance to the nearest neighbor, which is the unit that
     the paper's "1e-4 m" must have. NaN when nothing is seen or observed.
     """
     if not seen.any() or len(cloud) == 0:

@@ -253,8 +253,8 @@ def _rectangle(points: Outline) -> Float[np.ndarray, "4 2"]:
 
 def _to_rectangle(points: Outline, width: float, length: float) -> Float[np.ndarray, " points"]:
     """Return signed distance [m] of points to a rectangle around their middle; negative inside."""
-    centred = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
-    beyond = np.abs(centred) - 0.5 * np.array([width, length])
+    centerd = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
+    beyond = np.abs(centerd) - 0.5 * np.array([width, length])
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
     return outside + np.minimum(beyond.max(axis=1), 0.0)
 

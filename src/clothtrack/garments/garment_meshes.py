@@ -57,7 +57,7 @@ def towel(
     pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a rectangle in the plane z = 0, centred at the origin.
+    """Make a rectangle in the plane z = 0, centerd at the origin.
 
     Args:
         width_m: extent along x [m].
@@ -106,7 +106,7 @@ def tshirt(
 ) -> ClothMesh:
     """Make a flat T-shirt: front layer above the back layer, sewn at shoulders and sides.
 
-    Hem, cuffs and neck are open; the neck is cut deeper in front. Lies around z = 0, centred at
+    Hem, cuffs and neck are open; the neck is cut deeper in front. Lies around z = 0, centerd at
     the origin, neck towards +y. Canonical coordinates are the flat (x, y) and an inflated
     height that is positive on the front, negative on the back and zero on the seams.
 

@@ -81,11 +81,11 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
         InvalidRecordingError: the outline is not that of such a garment.
     """
     angle, through = mirror_axis(outline.points)
-    centred = outline.shifted(-through)
+    centerd = outline.shifted(-through)
     search = _trousers_landmarks if kind == "trousers" else _shirt_landmarks
     candidates = []
     for turn in (angle, angle + np.pi):
-        upright = centred.upright(turn)
+        upright = centerd.upright(turn)
         landmarks = search(symmetric(upright.points))
         if landmarks is not None:
             candidates.append((landmarks.clarity, upright, landmarks))

@@ -1,4 +1,4 @@
-"""The outline of a flat garment in a picture: a smooth closed curve on the table, in metres."""
+"""The outline of a flat garment in a picture: a smooth closed curve on the table, in meters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -69,7 +69,7 @@ def silhouette(
 
     Args:
         mask: where the cloth is.
-        to_plane: places on the table [m] of pixels (column and row, centres at whole numbers),
+        to_plane: places on the table [m] of pixels (column and row, centers at whole numbers),
             seen from above.
         name: what messages call the picture.
 
@@ -110,9 +110,9 @@ def mirror_axis(points: Outline) -> tuple[float, Float[np.ndarray, " 2"]]:
         Its direction [rad], one of two, and a point of it [m].
     """
     grid = _Grid(points)
-    centre = grid.centroid
+    center = grid.centroid
     angles = np.linspace(0.0, np.pi, _ANGLES, endpoint=False)
-    shares = [grid.overlap(_reflected(points, angle, centre)) for angle in angles]
+    shares = [grid.overlap(_reflected(points, angle, center)) for angle in angles]
     angle, offset = float(angles[int(np.argmax(shares))]), 0.0
     reach = float(np.linalg.norm(np.ptp(points, axis=0)))
     for turn, shift in ((0.01, 0.008), (0.005, 0.004), (0.0025, 0.002)):
@@ -122,10 +122,10 @@ def mirror_axis(points: Outline) -> tuple[float, Float[np.ndarray, " 2"]]:
         angle, offset = max(
             tries,
             key=lambda line: grid.overlap(
-                _reflected(points, line[0], centre + line[1] * _across(line[0]))
+                _reflected(points, line[0], center + line[1] * _across(line[0]))
             ),
         )
-    return angle, centre + offset * _across(angle)
+    return angle, center + offset * _across(angle)
 
 
 def symmetric(points: Outline) -> Outline:

@@ -113,7 +113,7 @@ def triangulate(spans: list[Span], spacing: float, seed: int) -> Piece:
     for _ in range(SMOOTHING_ROUNDS):
         points = np.concatenate([outline, interior])
         faces = _delaunay(points, outline, spacing)
-        interior = _neighbour_mean(points, faces)[len(outline) :]
+        interior = _neighbor_mean(points, faces)[len(outline) :]
     points = np.concatenate([outline, interior])
     faces = _delaunay(points, outline, spacing)
     sewn = np.concatenate([sewn, np.zeros(len(interior), dtype=bool)])
@@ -123,14 +123,14 @@ def triangulate(spans: list[Span], spacing: float, seed: int) -> Piece:
 def _lattice(
     outline: Float[np.ndarray, "corners 2"], spacing: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "points 2"]:
-    centre = (outline.min(axis=0) + outline.max(axis=0)) / 2.0
+    center = (outline.min(axis=0) + outline.max(axis=0)) / 2.0
     reach = np.linalg.norm(np.ptp(outline, axis=0)) / 2.0 + 2.0 * spacing
     count = int(np.ceil(reach / spacing * 2.0 / np.sqrt(3.0))) + 1
     i, j = np.meshgrid(np.arange(-count, count + 1), np.arange(-count, count + 1))
     lattice = np.stack([i + 0.5 * (j % 2), j * np.sqrt(3.0) / 2.0], axis=-1).reshape(-1, 2)
     angle = rng.uniform(0.0, np.pi / 3.0)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    lattice = (lattice + rng.uniform(0.0, 1.0, 2)) @ turn * spacing + centre
+    lattice = (lattice + rng.uniform(0.0, 1.0, 2)) @ turn * spacing + center
     lattice = lattice[inside(lattice, outline)]
     closed = np.concatenate([outline, outline[:1]])
     return lattice[distance_to_polyline(lattice, closed) > _CLEARANCE_OF_BOUNDARY * spacing]
@@ -155,7 +155,7 @@ def _signed_areas(
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-def _neighbour_mean(
+def _neighbor_mean(
     points: Float[np.ndarray, "points 2"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "points 2"]:
     # Inside a piece each edge is met twice, once from each of its triangles: a plain mean.

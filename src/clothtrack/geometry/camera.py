@@ -1,4 +1,4 @@
-"""The pinhole camera: pixel centres at integers, x right, y down, z forward (OpenCV, ROS)."""
+"""The pinhole camera: pixel centers at integers, x right, y down, z forward (OpenCV, ROS)."""
 
 from dataclasses import dataclass, field, replace
 
@@ -63,7 +63,7 @@ class Camera:
 
     @property
     def position(self) -> Float[np.ndarray, " 3"]:
-        """Centre of projection in the world [m]."""
+        """Center of projection in the world [m]."""
         return self.world_from_camera[:3, 3]
 
     def camera_from_world_points(
@@ -137,7 +137,7 @@ def rigid_problem(matrix: Float[np.ndarray, "4 4"]) -> str:
     if not (error < 1e-3 and np.linalg.det(rotation) > 0):
         return (
             f"is not rigid (its rotation part misses orthonormality by {error:.2g}, limit 1e-3, "
-            f"determinant {np.linalg.det(rotation):.3g}, must be +1); write a rotation and metres"
+            f"determinant {np.linalg.det(rotation):.3g}, must be +1); write a rotation and meters"
         )
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
         return f"has the last row {matrix[3].tolist()}; it must be 0 0 0 1"

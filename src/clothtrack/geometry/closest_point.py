@@ -17,7 +17,7 @@ def closest_on_mesh(
 ) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"]]:
     """Return face and barycentric coordinates of the closest point of a mesh, for each point.
 
-    Exact: a face can only beat the face with the nearest centre when its own centre lies within
+    Exact: a face can only beat the face with the nearest center when its own center lies within
     that face's distance plus its own radius, and all such faces are tried.
 
     Args:
@@ -29,9 +29,9 @@ def closest_on_mesh(
         The face, and non-negative weights of its three corners that sum to one.
     """
     corners = vertices[faces]
-    centres = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centres[:, None], axis=2).max()
-    tree = cKDTree(centres)
+    centers = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centers[:, None], axis=2).max()
+    tree = cKDTree(centers)
     near = tree.query(points)[1]
     bound = _gaps(points, corners[near], closest_on_triangle(points, corners[near]))
     candidates = tree.query_ball_point(points, bound + radius + 1e-12)

@@ -39,7 +39,7 @@ def projected_area(
 
 
 def _projected(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return two coordinates across the normal, centred, in general position."""
+    """Return two coordinates across the normal, centerd, in general position."""
     normal = normal / np.linalg.norm(normal)
     helper = np.eye(3)[np.argmin(np.abs(normal))]
     right = np.cross(helper, normal)
@@ -76,14 +76,14 @@ def _covered(
     corners = points[faces]
     clockwise = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[clockwise] = corners[clockwise][:, ::-1]
-    centres = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    tree = cKDTree(centres)
+    centers = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
+    tree = cKDTree(centers)
     reach = 0.5 * np.linalg.norm(end - start, axis=1) + radii.max()
     near = tree.query_ball_point(0.5 * (start + end), reach)
     counts = np.array([len(each) for each in near])
     parts = []
-    # Neighbouring edges together, never more pairs than fit into memory.
+    # Neighboring edges together, never more pairs than fit into memory.
     group = np.cumsum(counts) // _PAIRS_AT_ONCE
     for members in np.split(np.arange(len(edges)), np.flatnonzero(np.diff(group)) + 1):
         edge = np.repeat(members, counts[members])

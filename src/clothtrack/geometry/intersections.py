@@ -33,7 +33,7 @@ class Contours:
         within: barycentric coordinates in the triangle.
         normals: unit normal of the triangle.
         shortening: move of the edge against the triangle that shortens the contour: 2 m of
-            contour per metre along its length.
+            contour per meter along its length.
         contour: number of the contour that the crossing is on.
         sides: 1 where the edge belongs to the contour's first sheet, -1 where it belongs to the
             second; 0 where the contour has no two sheets (it turns back at a vertex).

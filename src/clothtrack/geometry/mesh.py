@@ -1,6 +1,6 @@
 """The triangle mesh of a cloth: where its vertices are and how they are connected.
 
-Public arrays are in metres. Vertices keep their index for life: vertex 17 is the same material
+Public arrays are in meters. Vertices keep their index for life: vertex 17 is the same material
 point in every frame, in the files and in the report.
 """
 
@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from clothtrack.errors import InvalidMeshError
 
 FARTHEST_M = 1e5
-"""No vertex of a cloth, in metres or mistaken for metres, is farther from the origin [m]."""
+"""No vertex of a cloth, in meters or mistaken for meters, is farther from the origin [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def sides_of(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "sides 2"]:
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Check shapes, types, and that numbers can be metres and indices."""
+    """Check shapes, types, and that numbers can be meters and indices."""
     for name, array, kinds in (("vertices", vertices, "fiu"), ("faces", faces, "iu")):
         if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
             raise InvalidMeshError(
@@ -112,7 +112,7 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
     if (farthest := float(np.abs(vertices).max(initial=0.0))) > FARTHEST_M:
         raise InvalidMeshError(
             f"a vertex is {farthest:.1e} m from the origin (at most {FARTHEST_M:g} m); scale the "
-            "mesh to metres"
+            "mesh to meters"
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InvalidMeshError(
@@ -162,5 +162,5 @@ def _check_surface(mesh: ClothMesh) -> None:
     if (distances > FARTHEST_M).any():
         raise InvalidMeshError(
             f"a canonical coordinate is {np.nanmax(distances):.1e} m (at most "
-            f"{FARTHEST_M:g} m); scale the mesh to metres"
+            f"{FARTHEST_M:g} m); scale the mesh to meters"
         )

@@ -67,7 +67,7 @@ def close_pairs(
     faces: Int[np.ndarray, "faces 3"],
     distance_m: float = 0.005,
 ) -> int:
-    """Return number of vertex pairs nearer than a distance that are not neighbours in the mesh.
+    """Return number of vertex pairs nearer than a distance that are not neighbors in the mesh.
 
     Vertices joined by an edge or by two do not count: in a fine mesh they are always near.
 

@@ -63,7 +63,7 @@ def draw_faces(
     camera: RasterCamera,
     pixels: wp.array(dtype=wp.uint64),
 ):
-    """Write each face's depth and index to the pixels whose centre it covers, nearest wins."""
+    """Write each face's depth and index to the pixels whose center it covers, nearest wins."""
     face = wp.tid()
     corners = faces[face]
     a = _to_camera(camera, vertices[corners[0]])
@@ -119,7 +119,7 @@ def draw_faces(
     e1y = bc[1] / camera.fy
     e2y = ca[1] / camera.fy
     inverse_y = normal[1] / camera.fy / plane
-    # A pixel centre on an edge belongs to both faces: a thousandth of a pixel closes the seams.
+    # A pixel center on an edge belongs to both faces: a thousandth of a pixel closes the seams.
     s0 = 1.0e-3 * (wp.abs(e0x) + wp.abs(e0y))
     s1 = 1.0e-3 * (wp.abs(e1x) + wp.abs(e1y))
     s2 = 1.0e-3 * (wp.abs(e2x) + wp.abs(e2y))
@@ -195,7 +195,7 @@ def mark_visible_vertices(
 ):
     """Mark hit vertices that are no deeper than the surface around them, plus a tolerance [m].
 
-    The surface around a vertex is the deepest of the (at most four) covered pixels whose centres
+    The surface around a vertex is the deepest of the (at most four) covered pixels whose centers
     surround its projection.
     """
     vertex = wp.tid()

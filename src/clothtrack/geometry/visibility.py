@@ -20,8 +20,8 @@ class DepthBuffer:
     """What a camera sees of a mesh.
 
     Attributes:
-        depth: distance along the optical axis at each pixel centre [m]; infinite where no face is.
-        faces: index of the nearest face at each pixel centre; -1 where no face is.
+        depth: distance along the optical axis at each pixel center [m]; infinite where no face is.
+        faces: index of the nearest face at each pixel center; -1 where no face is.
     """
 
     depth: Float[np.ndarray, "height width"]
@@ -33,7 +33,7 @@ class Rasteriser:
 
     Args:
         faces: vertex indices per triangle; drawn from both sides.
-        camera: the camera; pixel centres at integers.
+        camera: the camera; pixel centers at integers.
         device: Warp device, "cpu" or "cuda:0".
 
     Raises:

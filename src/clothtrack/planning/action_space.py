@@ -18,7 +18,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, carrying_path
 
 _EDGE_REACH_M = 0.02
-"""Radius of the neighbourhood [m] that tells an edge from the middle of a cloth."""
+"""Radius of the neighborhood [m] that tells an edge from the middle of a cloth."""
 
 _LEAST_WEIGHT = 0.02
 """How often the middle of the cloth is picked, compared with a straight edge's 0.18."""
@@ -123,12 +123,12 @@ def edge_measure(
 ) -> Float[np.ndarray, " points"]:
     """Return how much of an edge or a corner is at each point, seen from above.
 
-    The distance from the point to the middle of its neighbours, over the radius: 0 inside, 4 / (3
+    The distance from the point to the middle of its neighbors, over the radius: 0 inside, 4 / (3
     pi) = 0.42 on a straight edge, 0.6 in a right-angled corner.
 
     Args:
         points: evenly spread points [m]; the first two coordinates count.
-        radius_m: of the neighbourhood [m].
+        radius_m: of the neighborhood [m].
     """
     flat = np.asarray(points[:, :2], dtype=np.float64)
     tree = cKDTree(flat)

@@ -26,11 +26,11 @@ def draw_action(
 
 
 def shown_depth(depth_m: np.ndarray) -> UInt8[np.ndarray, "height width 3"]:
-    """Return a depth picture [m] in grey, near is bright, for cameras without colour."""
+    """Return a depth picture [m] in gray, near is bright, for cameras without color."""
     measured = depth_m[depth_m > 0]
     if not len(measured):
         return np.zeros((*depth_m.shape, 3), np.uint8)
     low, high = np.percentile(measured, (1, 99))
-    grey = 255.0 * np.clip((high - depth_m) / max(high - low, 1e-6), 0.0, 1.0)
-    grey[depth_m <= 0] = 0.0
-    return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+    gray = 255.0 * np.clip((high - depth_m) / max(high - low, 1e-6), 0.0, 1.0)
+    gray[depth_m <= 0] = 0.0
+    return np.repeat(gray.astype(np.uint8)[..., None], 3, axis=2)

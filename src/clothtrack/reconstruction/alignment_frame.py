@@ -19,21 +19,21 @@ class Alignment:
 
     Attributes:
         rotation: turns world directions into the canonical frame.
-        world_centre: the world position [m] that goes to `canonical_centre`.
-        canonical_centre: where it goes [m].
+        world_center: the world position [m] that goes to `canonical_center`.
+        canonical_center: where it goes [m].
     """
 
     rotation: Float[np.ndarray, "3 3"]
-    world_centre: Float[np.ndarray, " 3"]
-    canonical_centre: Float[np.ndarray, " 3"]
+    world_center: Float[np.ndarray, " 3"]
+    canonical_center: Float[np.ndarray, " 3"]
 
     def to_canonical(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
         """World positions [m] in the canonical frame."""
-        return (points - self.world_centre) @ self.rotation.T + self.canonical_centre
+        return (points - self.world_center) @ self.rotation.T + self.canonical_center
 
     def to_world(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
         """Positions in the canonical frame [m], in the world."""
-        return (points - self.canonical_centre) @ self.rotation + self.world_centre
+        return (points - self.canonical_center) @ self.rotation + self.world_center
 
 
 def align(
@@ -54,11 +54,11 @@ def align(
     """
     share = weights if weights.sum() > 0 else np.ones(len(weights))
     share = share / share.sum()
-    world_centre, canonical_centre = share @ observed, share @ canonical
-    target = canonical - canonical_centre
+    world_center, canonical_center = share @ observed, share @ canonical
+    target = canonical - canonical_center
     best = (-np.inf, np.eye(3))
     for side in (np.eye(3), TURNED_OVER):
-        source = (observed - world_centre) @ side.T
+        source = (observed - world_center) @ side.T
         products = (source * share[:, None]).T @ target
         along, across = products[0, 0] + products[1, 1], products[0, 1] - products[1, 0]
         length = float(np.hypot(along, across))
@@ -67,4 +67,4 @@ def align(
             cosine, sine = (along / length, across / length) if length > 0 else (1.0, 0.0)
             turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
             best = (gain, turn @ side)
-    return Alignment(best[1], world_centre, canonical_centre)
+    return Alignment(best[1], world_center, canonical_center)

@@ -85,7 +85,7 @@ class KnownGarment:
 
 @lru_cache(maxsize=8)
 def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
-    """Garments of a kind from which a search begins; the longer side is a metre.
+    """Garments of a kind from which a search begins; the longer side is a meter.
 
     Args:
         kind: "towel", "tshirt" or "trousers".

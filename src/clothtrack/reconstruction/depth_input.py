@@ -142,7 +142,7 @@ def from_picture(
     Args:
         path: PNG file.
         mask: picture of where the cloth is; what stands out of the table when None.
-        depth_unit_m: metres per unit of the file.
+        depth_unit_m: meters per unit of the file.
         focal: focal length [pixels]; that of a usual camera when None.
         principal_point: column and row [pixels]; the middle of the picture when None.
         table_distance_m: from a camera that looks straight down to the table [m]; when None, the

@@ -32,7 +32,7 @@ _RIM_M = 0.001
 which points are averaged, their mean is a quarter of a cube inside: 1 mm for the usual 4 mm."""
 
 FARTHEST_M = 10.0
-"""No vertex of a template is farther from its origin [m]: a file in millimetres is told by that."""
+"""No vertex of a template is farther from its origin [m]: a file in millimeters is told by that."""
 
 _STARTS = 12
 """Directions that the fit is started from, equally spaced: one is within 15 degrees."""
@@ -100,7 +100,7 @@ def _fitted(
         if reach > FARTHEST_M:
             raise InvalidMeshError(
                 f"{file}: a vertex lies {reach:.3g} m from the origin (at most "
-                f"{FARTHEST_M:g} m); write the template in metres, around the origin"
+                f"{FARTHEST_M:g} m); write the template in meters, around the origin"
             )
         unit, size_m = _outline_of(template), (1.0, 1.0)
     else:

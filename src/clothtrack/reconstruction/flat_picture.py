@@ -13,7 +13,7 @@ from clothtrack.files.extras import install_command
 from clothtrack.garments.silhouettes import Silhouette, silhouette
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.availability import missing_modules
-from clothtrack.recordings.pictures import GREY, read_color, read_depth, read_header, read_mask
+from clothtrack.recordings.pictures import GRAY, read_color, read_depth, read_header, read_mask
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.segmentation import (
     HeightSegmenter,
@@ -27,7 +27,7 @@ _FLATTEST_M = 0.05
 """A garment with a twentieth of its pixels higher above the table than this [m] is not flat."""
 
 _RIM_SHARE = 0.06
-"""The rim of a colour picture, over its width, that shows nothing but the table."""
+"""The rim of a color picture, over its width, that shows nothing but the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
         missing = "table" if camera else "depth picture"
         raise InvalidRecordingError(
             f"{name}: it has no {missing}, so that nothing says how large the garment is; give a "
-            "recording with table and depth, or a picture with --metres-per-pixel"
+            "recording with table and depth, or a picture with --meters-per-pixel"
         )
     depth = read_depth(shown_by.depth[camera.name], recording.depth_units_m[camera.name])
     color = read_color(shown_by.color[camera.name]) if camera.name in shown_by.color else None
@@ -81,7 +81,7 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> Fl
     if missing := missing_modules():
         raise InvalidConfigError(
             f"{path}: a single depth picture needs {', '.join(missing)}; install with: "
-            f"{install_command('learn')}, or give a recording or a colour picture"
+            f"{install_command('learn')}, or give a recording or a color picture"
         )
     from clothtrack.reconstruction.depth_input import from_picture
 
@@ -96,29 +96,29 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> Fl
     return _measured(picture.depth_m, whole, picture.camera, table, name=str(path))
 
 
-def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
-    """A colour picture or a mask of a camera that looks straight down.
+def flat_color(path: Path, meters_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
+    """A color picture or a mask of a camera that looks straight down.
 
     Args:
-        path: PNG; a grey one is the mask itself, in a colour one the garment is what has another
-            colour than the rim.
-        metres_per_pixel: on the table.
+        path: PNG; a gray one is the mask itself, in a color one the garment is what has another
+            color than the rim.
+        meters_per_pixel: on the table.
         mask: picture of where the garment is.
 
     Raises:
         InvalidRecordingError: a file cannot be read, or sizes differ.
         InvalidConfigError: the scale is not positive.
     """
-    if not 0.0 < metres_per_pixel < 0.1:
+    if not 0.0 < meters_per_pixel < 0.1:
         raise InvalidConfigError(
-            f"metres_per_pixel is {metres_per_pixel}; give the size of a pixel on the table in "
-            "metres, such as 0.0015"
+            f"meters_per_pixel is {meters_per_pixel}; give the size of a pixel on the table in "
+            "meters, such as 0.0015"
         )
     shown = read_color(path)
     height, width = shown.shape[:2]
     if mask is not None:
         marked = read_mask(mask)
-    elif read_header(path).color_type == GREY:
+    elif read_header(path).color_type == GRAY:
         marked = read_mask(path)
     else:
         marked = _unlike_the_rim(shown)
@@ -127,7 +127,7 @@ def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None)
             f"{mask} has {marked.shape[1]} x {marked.shape[0]} pixels, {path} has {width} x "
             f"{height}; give a mask of the same picture"
         )
-    scale = np.array([metres_per_pixel, -metres_per_pixel])
+    scale = np.array([meters_per_pixel, -meters_per_pixel])
     return FlatPicture(
         silhouette(marked, lambda pixels: pixels * scale, str(path)), shown, str(path)
     )
@@ -153,8 +153,8 @@ def _measured(
         )
 
     def to_plane(pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
-        focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-        local = np.column_stack([(pixels - centre) / focal, np.ones(len(pixels))])
+        focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+        local = np.column_stack([(pixels - center) / focal, np.ones(len(pixels))])
         rays = local @ camera.world_from_camera[:3, :3].T
         reach = ((table.point - camera.position) @ table.normal) / (rays @ table.normal)
         return (camera.position + reach[:, None] * rays - table.point) @ _plane_axes(table).T
@@ -167,7 +167,7 @@ def _measured(
 def _unlike_the_rim(
     shown: UInt8[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
-    """What has another colour than the table, whose light may change across the picture."""
+    """What has another color than the table, whose light may change across the picture."""
     height, width = shown.shape[:2]
     lab = cv2.cvtColor(shown.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
     y, x = np.mgrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j]
@@ -190,9 +190,9 @@ def _plane_axes(table: Table) -> Float[np.ndarray, "2 3"]:
 
 
 def _shades(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
-    """A depth picture in grey, near things bright."""
+    """A depth picture in gray, near things bright."""
     seen = depth[depth > 0]
     low, high = np.percentile(seen, [1, 99]) if len(seen) else (0.0, 1.0)
     share = np.clip((high - depth) / max(float(high - low), 1e-6), 0.0, 1.0)
-    grey = np.where(depth > 0, 60 + 180 * share, 0).astype(np.uint8)
-    return np.repeat(grey[:, :, None], 3, axis=2)
+    gray = np.where(depth > 0, 60 + 180 * share, 0).astype(np.uint8)
+    return np.repeat(gray[:, :, None], 3, axis=2)

@@ -42,7 +42,7 @@ _BEND = 10.0
 
 _CREASE = 0.15
 """Bending that costs no more the sharper it is: distance of a vertex from the mean of its
-neighbours, over the length of an edge. A fold is as cheap as a gentle bow, and ripples are not."""
+neighbors, over the length of an edge. A fold is as cheap as a gentle bow, and ripples are not."""
 
 _PLACED = 0.1
 """Weight of the place of a vertex that the network is sure of."""

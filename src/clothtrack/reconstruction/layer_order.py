@@ -1,7 +1,7 @@
 """Which of two layers of a cloth lies on top, kept while a fit moves them.
 
 A vertex that lies over or under a triangle of another part of the cloth is a pair. The order of all
-pairs comes from one height for each vertex, smoothed over neighbouring pairs, so that whole layers
+pairs comes from one height for each vertex, smoothed over neighboring pairs, so that whole layers
 agree on it.
 """
 
@@ -51,7 +51,7 @@ class LayerOrder:
         Args:
             vertices: where they are [m].
             order_m: of which the higher one of a pair is on top [m].
-            votes: how often each pair takes the mean of its neighbours' orders, first.
+            votes: how often each pair takes the mean of its neighbors' orders, first.
         """
         vertex, face, blend = self._overlaps(vertices)
         corners = self._faces[face]
@@ -120,7 +120,7 @@ class LayerOrder:
         above: Float[np.ndarray, " pairs"],
         votes: int,
     ) -> Float[np.ndarray, " pairs"]:
-        """1 or -1 for each pair: what it and the pairs of its neighbours say together."""
+        """1 or -1 for each pair: what it and the pairs of its neighbors say together."""
         if not len(vertex):
             return above
         ends, shape = (np.repeat(vertex, 3), corners.ravel()), (self._count,) * 2

@@ -8,9 +8,9 @@ from clothtrack.geometry.mesh import ClothMesh
 
 
 def smoothness_matrix(template: ClothMesh) -> sparse.csr_array:
-    """Rows that are zero for any flat sheet: a vertex less the mean of its neighbours.
+    """Rows that are zero for any flat sheet: a vertex less the mean of its neighbors.
 
-    The cotangents of the flat mesh weight the neighbours (U. Pinkall, K. Polthier, 1993), so that
+    The cotangents of the flat mesh weight the neighbors (U. Pinkall, K. Polthier, 1993), so that
     an irregular mesh is as flat as a regular one. Rims and seams have no row: a flat shirt turns
     back there.
     """

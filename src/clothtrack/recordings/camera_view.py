@@ -33,7 +33,7 @@ class CameraView:
 
     Attributes:
         camera: the camera.
-        color: its colour picture, red first; None where there is none, or nobody looks at it.
+        color: its color picture, red first; None where there is none, or nobody looks at it.
         depth_m: its depth picture [m]; 0 where nothing was measured.
         mask: where the cloth is.
         blind: where nothing was measured, or two surfaces are mixed.
@@ -58,9 +58,9 @@ def camera_views(
     Args:
         recording: the recording.
         frame: one of its frames.
-        segmenter: finds the cloth; left out, masks, colour hint or height do
+        segmenter: finds the cloth; left out, masks, color hint or height do
             (`default_segmenter`).
-        color: read the colour pictures that the segmenter does not look at, too.
+        color: read the color pictures that the segmenter does not look at, too.
 
     Raises:
         InvalidRecordingError: a picture cannot be read.
@@ -108,7 +108,7 @@ def _stepping_twice(
 ) -> Int[np.ndarray, " pixels"]:
     """The few pixels (their number in the picture) where depth steps up twice, or down twice.
 
-    The stride is the way to both neighbours: the width of the picture, or 1.
+    The stride is the way to both neighbors: the width of the picture, or 1.
     """
     height, width = depth_m.shape
     depth = depth_m.ravel()
@@ -121,6 +121,6 @@ def _stepping_twice(
         twice = (up[stride:] & up[:-stride]) | (down[stride:] & down[:-stride])
         found.append(np.flatnonzero(twice) + first + stride)
     middle = np.concatenate(found)
-    # The last pixel of a row and the first one of the next are no neighbours.
+    # The last pixel of a row and the first one of the next are no neighbors.
     column = middle % width
     return middle[(stride == width) | ((column > 0) & (column < width - 1))]

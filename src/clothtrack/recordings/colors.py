@@ -1,6 +1,6 @@
-"""Sets of colours: which colours are cloth, looked up by the five highest bits of each channel.
+"""Sets of colors: which colors are cloth, looked up by the five highest bits of each channel.
 
-A set is a table of 32 x 32 x 32 entries, so a printed cloth with twenty colours costs as much as a
+A set is a table of 32 x 32 x 32 entries, so a printed cloth with twenty colors costs as much as a
 plain one, and asking costs one look-up per pixel.
 """
 
@@ -20,10 +20,10 @@ BINS = 32
 NO, LOOSE, CORE = 0, 1, 2
 
 _LEAST_SATURATION = 0.2
-"""Saturation (0 to 1) from which a colour is known again in other light."""
+"""Saturation (0 to 1) from which a color is known again in other light."""
 
 _LEAST_VALUE = 0.1
-"""Colours that are darker (0 to 1) have no hue to tell them by."""
+"""Colors that are darker (0 to 1) have no hue to tell them by."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ColorRange:
 
     Attributes:
         hue: from and to [degrees]; from > to runs through 0 (red).
-        saturation: from and to, 0 (grey) to 1.
+        saturation: from and to, 0 (gray) to 1.
         value: from and to, 0 (black) to 1.
     """
 
@@ -50,7 +50,7 @@ class ColorRange:
         return ColorRange(hue, _spread(self.saturation, 0.1), _spread(self.value, 0.08))
 
     def contains(self, hsv: Float[np.ndarray, "*any 3"]) -> Bool[np.ndarray, "*any"]:
-        """Return whether colours lie in the range; hue [degrees], saturation and value 0 to 1."""
+        """Return whether colors lie in the range; hue [degrees], saturation and value 0 to 1."""
         hue, saturation, value = np.moveaxis(hsv, -1, 0)
         low, high = self.hue
         turned = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
@@ -74,8 +74,8 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
         ),
         "brown": (ColorRange((8.0, 45.0), value=(0.12, 0.6)),),
         "white": (ColorRange(saturation=(0.0, 0.18), value=(0.6, 1.0)),),
-        "grey": (ColorRange(saturation=(0.0, 0.2), value=(0.2, 0.75)),),
         "gray": (ColorRange(saturation=(0.0, 0.2), value=(0.2, 0.75)),),
+        "grey": (ColorRange(saturation=(0.0, 0.2), value=(0.2, 0.75)),),
         "black": (
             ColorRange(saturation=(0.0, 0.35), value=(0.0, 0.25)),
             ColorRange(saturation=(0.0, 1.0), value=(0.0, 0.12)),
@@ -86,7 +86,7 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
 
 @lru_cache
 def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
+    """Return set of the colors with a name: `CORE` inside its range, `LOOSE` near it."""
     hsv = _all_hsv().reshape(BINS, BINS, BINS, 3)
     ranges = NAMED_COLORS[name.lower()]
     members = np.zeros(hsv.shape[:3], dtype=np.uint8)
@@ -103,13 +103,13 @@ def learned_set(
     cloth: Bool[np.ndarray, "height width"],
     other: Bool[np.ndarray, "height width"],
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colours that are more frequent on the cloth than elsewhere.
+    """Return set of the colors that are more frequent on the cloth than elsewhere.
 
     Two smoothed histograms are compared bin by bin (a likelihood ratio): `CORE` where cloth is
     three times as frequent, `LOOSE` where it is more frequent.
 
     Args:
-        color: colour picture, red first.
+        color: color picture, red first.
         cloth: pixels that are cloth, nearly all.
         other: pixels that are not, nearly all.
     """
@@ -134,26 +134,26 @@ def with_shades(
     color: UInt8[np.ndarray, "height width 3"],
     cloth: Bool[np.ndarray, "height width"],
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return the set with the same colours in other light, as the cloth's folds will show them.
+    """Return the set with the same colors in other light, as the cloth's folds will show them.
 
-    Light changes the value of a colour and leaves hue and saturation. Colours that the rest of the
-    picture has stay as they are, and so do greys, which have no hue.
+    Light changes the value of a color and leaves hue and saturation. Colors that the rest of the
+    picture has stay as they are, and so do grays, which have no hue.
 
     Args:
-        members: set of the cloth's colours in this picture.
+        members: set of the cloth's colors in this picture.
         color: the picture, red first.
         cloth: what of it is cloth.
     """
     hsv = _all_hsv()
     bins = bin_of(color)
     own = cloth & (members.ravel()[bins] == CORE)
-    # Of the pixels themselves: five bits of a dark colour say little of its hue.
+    # Of the pixels themselves: five bits of a dark color say little of its hue.
     seen = cv2.cvtColor(color[own][None].astype(np.float32) / 255.0, cv2.COLOR_RGB2HSV)[0]
     outside = np.bincount(bins[~cloth], minlength=BINS**3)
     tints = np.zeros((36, 10))
     np.add.at(tints, _tint(seen[seen[:, 1] >= _LEAST_SATURATION]), 1)
     known = tints > 0.002 * max(len(seen), 1)
-    # A neighbour in hue or saturation is the same colour: so wide are the steps of five bits.
+    # A neighbor in hue or saturation is the same color: so wide are the steps of five bits.
     known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
     shade = (
         np.asarray(known, bool)[_tint(hsv)]
@@ -168,7 +168,7 @@ def with_shades(
 def votes_of(
     color: UInt8[np.ndarray, "height width 3"], members: UInt8[np.ndarray, "32 32 32"]
 ) -> UInt8[np.ndarray, "height width"]:
-    """Return what a set of colours says of every pixel: `CORE`, `LOOSE` or `NO`."""
+    """Return what a set of colors says of every pixel: `CORE`, `LOOSE` or `NO`."""
     table = members.ravel()
     votes = np.empty(color.shape[:2], dtype=np.uint8)
     for rows in bands(len(color)):
@@ -192,7 +192,7 @@ def _all_hsv() -> Float[np.ndarray, "colors 3"]:
 
 
 def _tint(hsv: Float[np.ndarray, "colors 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Step of hue (ten degrees) and of saturation (a tenth) of every colour."""
+    """Step of hue (ten degrees) and of saturation (a tenth) of every color."""
     return (hsv[:, 0] // 10).astype(int) % 36, np.minimum((hsv[:, 1] * 10).astype(int), 9)
 
 

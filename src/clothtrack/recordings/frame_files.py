@@ -161,8 +161,8 @@ def _header_problem(
     path: Path, kind: PictureKind, camera: Camera | None
 ) -> tuple[str, str, str] | None:
     header = pictures.read_header(path)
-    if kind == "depth" and (header.bits, header.color_type) != (16, pictures.GREY):
-        remedy = "write depth as one 16-bit grey channel"
+    if kind == "depth" and (header.bits, header.color_type) != (16, pictures.GRAY):
+        remedy = "write depth as one 16-bit gray channel"
         return "bits", str(header.bits), f"{pictures.depth_problem(header)}; {remedy}"
     if camera and (header.width, header.height) != (camera.width, camera.height):
         problem = f"camera {camera.name!r} has {camera.width} x {camera.height}"
@@ -176,7 +176,7 @@ def _content_problem(path: Path, kind: PictureKind, unit_m: float) -> tuple[str,
         pictures.read_color(path)
         return None
     if kind == "mask":
-        remedy = "paint the cloth white, or delete the mask: colour is used then"
+        remedy = "paint the cloth white, or delete the mask: color is used then"
         words = f"no pixel of the cloth is marked; {remedy}"
         return None if pictures.read_mask(path).any() else ("the mask", "empty", words)
     depth = pictures.read_depth(path, unit_m or 1.0)
@@ -189,5 +189,5 @@ def _content_problem(path: Path, kind: PictureKind, unit_m: float) -> tuple[str,
     return (
         "median depth", f"{median:.3g} m", f"implausible with depth_unit_m = {unit_m:g} "
         f"(plausible: {NEAREST_MEDIAN_M} to {FARTHEST_MEDIAN_M} m); "
-        "correct depth_unit_m of the camera in recording.json (0.001 for millimetres)",
+        "correct depth_unit_m of the camera in recording.json (0.001 for millimeters)",
     )  # fmt: skip

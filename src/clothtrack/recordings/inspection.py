@@ -151,7 +151,7 @@ def _facts(recording: Recording) -> dict[str, str]:
 
 def _kinds(recording: Recording) -> str:
     counts = {
-        "colour": sum(bool(frame.color) for frame in recording.frames),
+        "color": sum(bool(frame.color) for frame in recording.frames),
         "depth": sum(bool(frame.depth) for frame in recording.frames),
         "masks": sum(bool(frame.mask) for frame in recording.frames),
         "clouds": sum(frame.cloud is not None for frame in recording.frames),

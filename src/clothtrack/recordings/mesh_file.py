@@ -1,4 +1,4 @@
-"""One mesh in one file that other programs read and write too: OBJ, PLY, STL or GLB, in metres."""
+"""One mesh in one file that other programs read and write too: OBJ, PLY, STL or GLB, in meters."""
 
 from pathlib import Path
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import cKDTree
 
-NEIGHBOURS = 8
+NEIGHBORS = 8
 """So many points that were beside one say whether it is where it is taken to be."""
 
 _STRETCH = 1.1, 0.004
@@ -14,7 +14,7 @@ _STRETCH = 1.1, 0.004
 stretches."""
 
 NOBODY = -1
-"""Stands for a neighbour that there is not."""
+"""Stands for a neighbor that there is not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,15 +32,15 @@ class NumberedPoints:
     numbers: Int[np.ndarray, " points"]
     pixels: Float32[np.ndarray, "points 2"]
     steps: Float32[np.ndarray, "points 2"]
-    beside: Int[np.ndarray, "points neighbours"]
-    apart_m: Float[np.ndarray, "points neighbours"]
+    beside: Int[np.ndarray, "points neighbors"]
+    apart_m: Float[np.ndarray, "points neighbors"]
 
     @classmethod
     def fresh(
         cls, numbers: Int[np.ndarray, " points"], pixels: Float32[np.ndarray, "points 2"]
     ) -> "NumberedPoints":
         """Return points that have not moved yet, with nobody beside them."""
-        nobody = np.full((len(numbers), NEIGHBOURS), NOBODY)
+        nobody = np.full((len(numbers), NEIGHBORS), NOBODY)
         points = cls(numbers, pixels, np.zeros_like(pixels), nobody, np.zeros(nobody.shape))
         return points[np.argsort(numbers)]
 
@@ -73,7 +73,7 @@ class NumberedPoints:
         both = NumberedPoints(*(np.concatenate(pair) for pair in pairs))
         return both[np.argsort(both.numbers)]
 
-    def with_neighbours(
+    def with_neighbors(
         self, positions: Float[np.ndarray, "points 3"], among: Bool[np.ndarray, " points"]
     ) -> "NumberedPoints":
         """Return the same with those beside each that are nearest here [m].
@@ -82,7 +82,7 @@ class NumberedPoints:
         """
         if not among.any():
             return self
-        apart, place = cKDTree(positions[among]).query(positions, k=NEIGHBOURS + 1)
+        apart, place = cKDTree(positions[among]).query(positions, k=NEIGHBORS + 1)
         # By number, because others will be lost.
         beside = np.append(self.numbers[among], NOBODY)[place[:, 1:]]
         return replace(self, beside=beside, apart_m=apart[:, 1:])
@@ -101,8 +101,8 @@ class NumberedPoints:
 
 
 def too_far_apart(
-    now: Float[np.ndarray, "points neighbours"], before: Float[np.ndarray, "points neighbours"]
-) -> Bool[np.ndarray, "points neighbours"]:
+    now: Float[np.ndarray, "points neighbors"], before: Float[np.ndarray, "points neighbors"]
+) -> Bool[np.ndarray, "points neighbors"]:
     """Return whether two points are farther apart [m] than cloth can have stretched."""
     ratio, slack = _STRETCH
     return now > ratio * before + slack

@@ -23,14 +23,14 @@ SMOOTH_PX = 1.5
 windows of the same cloth different."""
 
 _EVEN_SCALE = 40.0
-"""Grey values of one standard deviation in an even picture."""
+"""Gray values of one standard deviation in an even picture."""
 
 _MOST_DIFFERENT = 15.0
-"""Grey values by which a window may differ on average from that which it is taken for. Windows of
+"""Gray values by which a window may differ on average from that which it is taken for. Windows of
 even pictures that have nothing to do with each other differ by 45."""
 
 _LEAST_DEVIATION = 1.0
-"""Added to the standard deviation [grey values], so that noise of plain cloth stays small."""
+"""Added to the standard deviation [gray values], so that noise of plain cloth stays small."""
 
 _NEAR_PX = 60.0
 """How far away [pixels] a point may be that says where another has gone."""
@@ -55,7 +55,7 @@ def even_picture(
 
     Args:
         gray: brightness.
-        cloth: which pixels are cloth; the others become even grey.
+        cloth: which pixels are cloth; the others become even gray.
     """
     even = np.full(gray.shape, 128, np.uint8)
     rows, columns = np.flatnonzero(cloth.any(axis=1)), np.flatnonzero(cloth.any(axis=0))

@@ -1,4 +1,4 @@
-"""Colour, depth, mask and cloud files: read whole or refused, never half a picture.
+"""Color, depth, mask and cloud files: read whole or refused, never half a picture.
 
 What is in memory already is returned as it is: whoever reads a frame need not know where it lies.
 
@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, UInt8
 from clothtrack.errors import InvalidRecordingError, why_unreadable
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-GREY = 0
+GRAY = 0
 _BAND_ROWS = 60
 _END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 # OpenCV before 4.12 cannot choose the filter and ignores its name.
@@ -39,7 +39,7 @@ class PngHeader:
         width: picture width [pixels].
         height: picture height [pixels].
         bits: bits per channel.
-        color_type: 0 grey, 2 colour, 3 palette, 4 grey with alpha, 6 colour with alpha.
+        color_type: 0 gray, 2 color, 3 palette, 4 gray with alpha, 6 color with alpha.
     """
 
     width: int
@@ -68,7 +68,7 @@ def read_header(path: Path) -> PngHeader:
 def read_color(
     picture: Path | str | UInt8[np.ndarray, "height width 3"],
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Return the colour picture, red first.
+    """Return the color picture, red first.
 
     Args:
         picture: an 8-bit PNG, or the picture itself, which is returned as it is.
@@ -82,7 +82,7 @@ def read_color(
     header, data = _read_png(path)
     if header.bits > 8:
         raise InvalidRecordingError(
-            f"{path}: a colour picture of {header.bits} bits per channel; write 8 bits"
+            f"{path}: a color picture of {header.bits} bits per channel; write 8 bits"
         )
     decoded = _decode(path, data, cv2.IMREAD_COLOR)
     return cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
@@ -94,19 +94,19 @@ def read_depth(
     """Return the depth along the optical axis [m], float32; 0 where nothing was measured.
 
     Args:
-        picture: a 16-bit grey PNG, or the depth itself [m], which is returned as it is.
-        unit_m: metres per unit of the file (0.001 for millimetres).
+        picture: a 16-bit gray PNG, or the depth itself [m], which is returned as it is.
+        unit_m: meters per unit of the file (0.001 for millimeters).
 
     Raises:
-        InvalidRecordingError: the file is missing, damaged or not a 16-bit grey PNG.
+        InvalidRecordingError: the file is missing, damaged or not a 16-bit gray PNG.
     """
     if isinstance(picture, np.ndarray):
         return picture
     path = Path(picture)
     header, data = _read_png(path)
-    if (header.bits, header.color_type) != (16, GREY):
+    if (header.bits, header.color_type) != (16, GRAY):
         raise InvalidRecordingError(
-            f"{path}: {depth_problem(header)}; write depth as one 16-bit grey channel"
+            f"{path}: {depth_problem(header)}; write depth as one 16-bit gray channel"
         )
     counts = _decode(path, data, cv2.IMREAD_UNCHANGED)
     return np.multiply(counts, np.float32(unit_m), dtype=np.float32)
@@ -118,19 +118,19 @@ def read_mask(
     """Return the mask of the cloth: true where the picture is not black.
 
     Args:
-        picture: a grey PNG, or the mask itself, which is returned as it is.
+        picture: a gray PNG, or the mask itself, which is returned as it is.
 
     Raises:
-        InvalidRecordingError: the file is missing, damaged or not a grey PNG of at most 8 bits.
+        InvalidRecordingError: the file is missing, damaged or not a gray PNG of at most 8 bits.
     """
     if isinstance(picture, np.ndarray):
         return picture
     path = Path(picture)
     header, data = _read_png(path)
-    if header.bits > 8 or header.color_type != GREY:
+    if header.bits > 8 or header.color_type != GRAY:
         raise InvalidRecordingError(
-            f"{path}: a mask of {header.bits} bits and PNG colour type {header.color_type}; "
-            "write one 8-bit grey channel, 255 on the cloth and 0 elsewhere"
+            f"{path}: a mask of {header.bits} bits and PNG color type {header.color_type}; "
+            "write one 8-bit gray channel, 255 on the cloth and 0 elsewhere"
         )
     return _decode(path, data, cv2.IMREAD_UNCHANGED) > 0
 
@@ -164,7 +164,7 @@ def read_cloud(
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
         raise InvalidRecordingError(
             f"{path}: points has shape {points.shape} and type {points.dtype}; "
-            "it must be (N, 3) numbers, metres in the world frame"
+            "it must be (N, 3) numbers, meters in the world frame"
         )
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
@@ -175,10 +175,10 @@ def read_cloud(
 
 
 def encode_png(picture: np.ndarray, *, by_rows: bool = False) -> bytes:
-    """Return the PNG file of a grey (8 or 16 bits) or colour (8 bits, red first) picture; lossless.
+    """Return the PNG file of a gray (8 or 16 bits) or color (8 bits, red first) picture; lossless.
 
     Fast compression: a recording is written while the robot moves. Differences to the left
-    neighbour, packed by run lengths and Huffman codes, cost half of what searching for repeated
+    neighbor, packed by run lengths and Huffman codes, cost half of what searching for repeated
     strings does, and on measured pictures take less room.
 
     Args:
@@ -203,8 +203,8 @@ def bands(height: int) -> Iterator[slice]:
 
 def depth_problem(header: PngHeader) -> str:
     """Says in which way a PNG is not a depth picture."""
-    if header.color_type != GREY:
-        return f"a depth picture of PNG colour type {header.color_type} (colour, not grey)"
+    if header.color_type != GRAY:
+        return f"a depth picture of PNG color type {header.color_type} (color, not gray)"
     return f"a depth picture of {header.bits} bits"
 
 

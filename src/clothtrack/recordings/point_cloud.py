@@ -29,7 +29,7 @@ LINK_M = 0.012
 _MOST_CELLS = 1 << 20
 """Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
 
-_HALF_NEIGHBOURS = [
+_HALF_NEIGHBORS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
 ]
 
@@ -103,7 +103,7 @@ def observe(
     Args:
         recording: the recording.
         frame: one of its frames.
-        segmenter: finds the cloth; left out, masks, colour hint or height do
+        segmenter: finds the cloth; left out, masks, color hint or height do
             (`default_segmenter`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
 
@@ -219,7 +219,7 @@ def strays(
     Args:
         points: points [m].
         share: share of the points that a cluster must hold; the largest always stays.
-        spacing_m: distance [m] of neighbouring points; cubes are never smaller than 1.5 of it.
+        spacing_m: distance [m] of neighboring points; cubes are never smaller than 1.5 of it.
     """
     if not len(points) or share <= 0:
         return np.zeros(len(points), dtype=bool)
@@ -267,7 +267,7 @@ def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.nd
         return label(filled, np.ones((3, 3, 3)))[0].ravel()[place]
     cells, members = np.unique(_cells(points, side_m), return_inverse=True)
     first, second = [], []
-    for x, y, z in _HALF_NEIGHBOURS:
+    for x, y, z in _HALF_NEIGHBORS:
         wanted = cells + ((x << 42) + (y << 21) + z)
         place = np.minimum(np.searchsorted(cells, wanted), len(cells) - 1)
         linked = np.flatnonzero(cells[place] == wanted)
@@ -311,7 +311,7 @@ def _places(
 
 
 def _cells(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
-    # 21 bits an axis, in the middle of their range: neighbours differ by a constant.
+    # 21 bits an axis, in the middle of their range: neighbors differ by a constant.
     index = np.floor((points - points.mean(axis=0)) / side_m).astype(np.int64) + (1 << 20)
     index = np.clip(index, 1, (1 << 21) - 2)
     return (index[:, 0] << 42) | (index[:, 1] << 21) | index[:, 2]

@@ -36,11 +36,11 @@ _LARGEST_ERROR_PX = 0.2
 the noise of the picture (the Cramer-Rao bound of its shift)."""
 
 _SLOPES_OF_NOISE = WINDOW_PX**2 * 0.23
-"""Squared slopes of a window that shows noise of one grey value and nothing else: 0.23 a pixel by
+"""Squared slopes of a window that shows noise of one gray value and nothing else: 0.23 a pixel by
 Scharr's weights."""
 
 _LEAST_NOISE = 0.5
-"""Noise of a picture [grey values, 0 to 255] that is reckoned with in any case; rounding is 0.3."""
+"""Noise of a picture [gray values, 0 to 255] that is reckoned with in any case; rounding is 0.3."""
 
 _LOOK_AGAIN = 5
 """Points are looked for so many frames after they were lost, and again after as many, and where
@@ -79,7 +79,7 @@ class PointFollower:
 
         Args:
             recording: a recording of clouds has nothing to follow.
-            segmenter: finds the cloth; the recording's masks, colour or height by default.
+            segmenter: finds the cloth; the recording's masks, color or height by default.
             kept: the points of so many frames are kept, the newest; all by default. In an older one
                 nothing is followed.
         """
@@ -98,7 +98,7 @@ class PointFollower:
 
         Args:
             frame: one of the recording's.
-            views: what the cameras saw, with their colours where the frame is not known yet.
+            views: what the cameras saw, with their colors where the frame is not known yet.
 
         Raises:
             InvalidRecordingError: a picture of a frame before cannot be read.
@@ -176,7 +176,7 @@ class _Picture:
         return cls(gray, even_picture(gray, view.mask), depth, clear)
 
     def noise_since(self, before: "_Picture | None") -> float:
-        """Return the standard deviation [grey values].
+        """Return the standard deviation [gray values].
 
         Most of what two pictures show stands still.
         """
@@ -332,7 +332,7 @@ class _Follower:
         points = points.together_with(NumberedPoints.fresh(self._new_numbers(len(fresh)), fresh))
         # Key points lie close together: what is around a part of the print the others show.
         spread = ~knows(points.numbers)
-        self._points = points.with_neighbours(self._positions(points, picture), spread)
+        self._points = points.with_neighbors(self._positions(points, picture), spread)
 
     def _new_numbers(self, count: int) -> Int[np.ndarray, " points"]:
         return np.fromiter(itertools.islice(self._numbers, count), np.int64, count)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import cKDTree
 
-from clothtrack.recordings.numbered_points import NEIGHBOURS, too_far_apart
+from clothtrack.recordings.numbered_points import NEIGHBORS, too_far_apart
 
 _CONTRAST = 0.02
 """OpenCV's contrast threshold of a key point: half its default, for prints in poor light."""
@@ -166,7 +166,7 @@ def _stay_together(
     before: Float[np.ndarray, "points 3"],
 ) -> Bool[np.ndarray, " points"]:
     """Return whether each point is still near those that were beside it, but for a few."""
-    near = min(NEIGHBOURS, len(now) - 1)
+    near = min(NEIGHBORS, len(now) - 1)
     if near < 1:
         return np.zeros(len(now), dtype=bool)
     apart, beside = cKDTree(before).query(before, k=near + 1)

@@ -26,7 +26,7 @@ FRAMES = 8
 def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
     """Return the table in a recording: what most of the depth that is not cloth lies on.
 
-    The cloth is left out where masks or its colour name tell it; the tool is too small to matter.
+    The cloth is left out where masks or its color name tell it; the tool is too small to matter.
 
     Args:
         recording: with depth from the camera.
@@ -108,7 +108,7 @@ def _look(
     try:
         cloth = find(color, depth, camera, None)
     except InvalidRecordingError:
-        # The background has the cloth's colour: then nothing is left out.
+        # The background has the cloth's color: then nothing is left out.
         return depth, cloth
     return depth, cloth
 

@@ -73,7 +73,7 @@ class Frame:
     Attributes:
         index: number of the frame in the recording, from 0.
         time_s: time since the start [s].
-        color: colour picture per camera name.
+        color: color picture per camera name.
         depth: depth picture per camera name; in memory in meters.
         mask: mask of the cloth per camera name, when the recording has one.
         cloud: point cloud of the whole moment, when the recording has one.
@@ -219,12 +219,12 @@ class ClothDescription:
 
     Attributes:
         kind: "towel", "tshirt", "trousers" or "other".
-        color: a named colour for segmentation ("blue"), or None.
+        color: a named color for segmentation ("blue"), or None.
         size_m: side lengths (width, length) of the flat cloth [m] when measured.
         template: the first mesh, in the world frame, when the recording carries one.
         held_vertices: template vertices that each picker holds, when known.
         grasp_uncertainty_m: how far the held cloth may be from the recorded tip [m]: 0 when the
-            path was measured, a few centimetres when it is only what the robot was told.
+            path was measured, a few centimeters when it is only what the robot was told.
     """
 
     kind: str = "other"
@@ -255,7 +255,7 @@ class Recording:
     Attributes:
         folder: where it lies; its name alone, if it is in memory.
         cameras: every camera, in the file's order.
-        depth_units_m: metres per unit of the 16-bit depth pictures, per camera name.
+        depth_units_m: meters per unit of the 16-bit depth pictures, per camera name.
         frames: in order of time; those of a live recording grow, and so do its actions.
         actions: pick-and-places, in order, not overlapping.
         picker_paths: path per picker name.

@@ -1,4 +1,4 @@
-"""Which pixels are cloth: by its colour, by its height above the table, or from masks on disk."""
+"""Which pixels are cloth: by its color, by its height above the table, or from masks on disk."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import Frame, Recording, Table
 
 _RAISED_M = 0.006
-"""A colour that is only perhaps cloth counts from this height above the table [m]."""
+"""A color that is only perhaps cloth counts from this height above the table [m]."""
 _TOOL_GAP_M = 0.015
 """What is nearer to the camera than the cloth around it by more [m] is the tool, not a print."""
 WIDEST_SHARE = 0.6
-"""More of the picture than this is never the cloth alone: the background has its colour too."""
+"""More of the picture than this is never the cloth alone: the background has its color too."""
 LOWEST_M = 0.004
 """What is lower than this above the table [m] is table: above the noise of depth cameras."""
 _CLICK_TOLERANCE = 9.0
-"""How far a colour of a clicked patch may be from the clicked one in a and b of CIE Lab.
+"""How far a color of a clicked patch may be from the clicked one in a and b of CIE Lab.
 
 A unit is about a visible difference; L counts half.
 """
 _BOX_ROUNDS = 2
-"""How often the colours of a box are learned again from the mask that they give."""
+"""How often the colors of a box are learned again from the mask that they give."""
 _SMALLEST_PART = 0.02
 """A part of the mask smaller than this share of the largest one is no cloth that a tool cut off."""
 
@@ -61,7 +61,7 @@ class Segmenter(Protocol):
         """Return the mask of the cloth.
 
         Args:
-            color: colour picture, red first, when the frame has one.
+            color: color picture, red first, when the frame has one.
             depth_m: depth [m], 0 where nothing was measured.
             camera: the camera of both.
             table: the table, when there is one.
@@ -71,26 +71,26 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ColorSegmenter:
-    """The cloth is what has its colours, with the height above the table as a second vote.
+    """The cloth is what has its colors, with the height above the table as a second vote.
 
     Make one with `from_name`, `from_click` or `from_box`.
 
     Attributes:
-        members: per colour (five bits a channel) whether it is cloth: 2 surely, 1 perhaps, 0 no.
+        members: per color (five bits a channel) whether it is cloth: 2 surely, 1 perhaps, 0 no.
     """
 
     members: UInt8[np.ndarray, "32 32 32"]
 
     @classmethod
     def from_name(cls, name: str) -> "ColorSegmenter":
-        """Return the segmenter of a colour name such as "blue".
+        """Return the segmenter of a color name such as "blue".
 
         Raises:
             InvalidConfigError: the name is unknown.
         """
         if name.lower() not in NAMED_COLORS:
             raise InvalidConfigError(
-                f"the cloth's colour is {name!r}; known names: {', '.join(NAMED_COLORS)}"
+                f"the cloth's color is {name!r}; known names: {', '.join(NAMED_COLORS)}"
             )
         return cls(named_set(name))
 
@@ -100,11 +100,11 @@ class ColorSegmenter:
     ) -> "ColorSegmenter":
         """Return a segmenter learned from a box around the cloth in one picture.
 
-        Colours are learned from the middle of the box against what is outside, then again from the
+        Colors are learned from the middle of the box against what is outside, then again from the
         mask that they give.
 
         Args:
-            color: colour picture, red first.
+            color: color picture, red first.
             box: first column, first row, and the column and row after the last [pixels].
 
         Raises:
@@ -135,7 +135,7 @@ class ColorSegmenter:
         The even patch around the click is learned, and what looks like it.
 
         Args:
-            color: colour picture, red first.
+            color: color picture, red first.
             column: column of the click [pixels].
             row: row of the click [pixels].
 
@@ -175,7 +175,7 @@ class ColorSegmenter:
             members = learned_set(color, mask, ~mask)
         if not (members == CORE).any():
             raise InvalidConfigError(
-                "no colour of the cloth differs from the rest of the picture; "
+                "no color of the cloth differs from the rest of the picture; "
                 "give masks, or a table so that height can decide"
             )
         return cls(members)
@@ -190,16 +190,16 @@ class ColorSegmenter:
         """Return the mask of the cloth: its largest connected part and parts nearly as large.
 
         Raises:
-            InvalidRecordingError: there is no colour picture, or the background has the cloth's
-                colours and there is no table to tell them apart.
+            InvalidRecordingError: there is no color picture, or the background has the cloth's
+                colors and there is no table to tell them apart.
         """
         if color is None:
             raise InvalidRecordingError(
-                f"camera {camera.name!r}: there is no colour picture to find the cloth's colour "
+                f"camera {camera.name!r}: there is no color picture to find the cloth's color "
                 "in; add color/ or mask/ files"
             )
         votes = votes_of(color, self.members)
-        # What has none of the colours stays outside whatever is done around it.
+        # What has none of the colors stays outside whatever is done around it.
         window = bounds_of(votes, margin=_CLOSING.shape[0])
         mask = np.zeros(votes.shape, dtype=bool)
         accepted = self._accepted(votes, depth_m, camera, table, window)
@@ -215,7 +215,7 @@ class ColorSegmenter:
         table: Table | None,
         window: tuple[slice, slice],
     ) -> Bool[np.ndarray, "window_height window_width"]:
-        """Pixels of a window that holds all votes which are cloth by colour and height."""
+        """Pixels of a window that holds all votes which are cloth by color and height."""
         votes, whole = votes[window], votes.size
         accepted = votes == CORE
         measured = depth_m[window] > 0
@@ -231,7 +231,7 @@ class ColorSegmenter:
         if share > WIDEST_SHARE:
             if heights is None:
                 raise InvalidRecordingError(
-                    f"camera {camera.name!r}: the cloth's colours cover {100 * share:.0f} % of the "
+                    f"camera {camera.name!r}: the cloth's colors cover {100 * share:.0f} % of the "
                     f"picture (at most {100 * WIDEST_SHARE:.0f} %), the background has them "
                     "too; give mask/ files, or the table so that height can decide"
                 )
@@ -244,7 +244,7 @@ class ColorSegmenter:
         colored: Bool[np.ndarray, "height width"],
         depth_m: Float[np.ndarray, "height width"],
     ) -> Bool[np.ndarray, "height width"]:
-        # Gaps in the colour are prints, shine and the tool. A print lies at the depth of the
+        # Gaps in the color are prints, shine and the tool. A print lies at the depth of the
         # cloth around it, the tool above.
         window = bounds_of(closed)
         whole, closed, colored, depth_m = (closed, closed[window], colored[window], depth_m[window])
@@ -324,7 +324,7 @@ class MaskFolder:
 def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Segmenter:
     """Return what finds the cloth when nothing was asked for.
 
-    Masks, else the colour hint, else height.
+    Masks, else the color hint, else height.
 
     Raises:
         InvalidRecordingError: the recording has nothing that tells the cloth from the rest.
@@ -378,7 +378,7 @@ def main_components(
     """The largest connected part of a mask, those nearly as large, and what a tool cut off them.
 
     Parts of at least `share` of the largest one's area stay, and smaller ones beside them: a sleeve
-    beyond the tool. Farther away a small part of its colour is something else.
+    beyond the tool. Farther away a small part of its color is something else.
     """
     kept = np.zeros_like(mask)
     window = bounds_of(mask)

@@ -108,7 +108,7 @@ class RecordingWriter:
         Args:
             folder: where the recording is to lie; must not exist.
             cameras: every camera.
-            depth_units_m: metres per unit of the depth files, per camera name.
+            depth_units_m: meters per unit of the depth files, per camera name.
             table: the table, or None when the cloth hangs.
             cloth: what is known of the cloth, with its template.
             observed: where data was cut away.
@@ -219,7 +219,7 @@ class RecordingWriter:
         Args:
             time_s: time since the start [s], after the frame before.
             color: per camera name, an 8-bit PNG.
-            depth: per camera name, a 16-bit grey PNG in the camera's `depth_units_m`.
+            depth: per camera name, a 16-bit gray PNG in the camera's `depth_units_m`.
 
         Raises:
             InvalidRecordingError: a camera is unknown, a picture has another size, the time does

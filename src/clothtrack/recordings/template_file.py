@@ -19,7 +19,7 @@ from clothtrack.geometry.mesh import ClothMesh
 
 _TEMPLATE_SUFFIXES = (".npz", ".obj")
 
-_CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write metres"))
+_CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write meters"))
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:

@@ -83,7 +83,7 @@ class _Check:
         frames = find_frames(self._folder, self._document["frames"], names, self.violations)
         for place, name in enumerate(names):
             if name not in units and any(name in frame.depth for frame in frames):
-                words = "missing, but the camera has depth; add it: 0.001 for millimetres"
+                words = "missing, but the camera has depth; add it: 0.001 for millimeters"
                 self.violations.add(f"cameras[{place}].depth_unit_m", "", words)
         paths = self._picker_paths(cameras)
         actions = self._actions(frames, paths)
@@ -179,12 +179,12 @@ class _Check:
                 ]
             nearest = np.min(distances, axis=0)
             far = np.flatnonzero(nearest > FARTHEST_MEDIAN_M)
-            if len(far):  # not metres, most likely
+            if len(far):  # not meters, most likely
                 x, y, z = path.positions[far[0]]
                 field = f"x_m, y_m, z_m of picker {name!r} at {path.time_s[far[0]]:g} s"
                 words = (
                     f"{nearest[far[0]]:.3g} m from the nearest camera (at most "
-                    f"{FARTHEST_MEDIAN_M:g} m); write metres, in the world frame of the cameras "
+                    f"{FARTHEST_MEDIAN_M:g} m); write meters, in the world frame of the cameras "
                     f"in {DOCUMENT}"
                 )
                 self.violations.add(field, f"({x:g}, {y:g}, {z:g})", words, file=PICKER_FILE)
@@ -238,7 +238,7 @@ class _Check:
         color = entry.get("color")
         if color is not None and color.lower() not in NAMED_COLORS:
             remedy = f"choose from {', '.join(NAMED_COLORS)}, or leave it out"
-            self.violations.add("cloth.color", shown(color), f"an unknown colour name; {remedy}")
+            self.violations.add("cloth.color", shown(color), f"an unknown color name; {remedy}")
         template = self._template(entry)
         held = {name: np.array(ids, dtype=np.int64) for name, ids in
                 entry.get("held_vertices", {}).items()}  # fmt: skip
@@ -283,7 +283,7 @@ class _Check:
             mesh = read_obj(files["template"], files.get("template_canonical"))
         size = 1.0 if mesh is None else float(np.ptp(mesh.vertices, axis=0).max())
         if not 0.01 <= size <= 10:
-            words = "implausible for a cloth (0.01 to 10 m); write the mesh in metres"
+            words = "implausible for a cloth (0.01 to 10 m); write the mesh in meters"
             file = entry["template"]
             self.violations.add("largest side", f"{size:g} m", words, file=file)
         return mesh

@@ -154,7 +154,7 @@ def write_mesh_page(
     expected_error_m: Float[np.ndarray, " vertices"] | None = None,
     verdict: Verdict | None = None,
 ) -> Path:
-    """Write a page of one mesh [m], z up, coloured by the error that is expected of each vertex.
+    """Write a page of one mesh [m], z up, colored by the error that is expected of each vertex.
 
     Args:
         mesh: the mesh.

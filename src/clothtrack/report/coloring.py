@@ -1,4 +1,4 @@
-"""What a cloth can be coloured by, per vertex: distance to the cloud, expected and true error.
+"""What a cloth can be colored by, per vertex: distance to the cloud, expected and true error.
 
 Only `truth_errors` uses the truth, and its title says so.
 """
@@ -27,13 +27,13 @@ _FARTHEST_CLOUD_MM = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Coloring:
-    """A number for every vertex at every frame, to be shown as a colour.
+    """A number for every vertex at every frame, to be shown as a color.
 
     Attributes:
         key: short name.
         title: what it is, with its unit.
         note: how to read it.
-        limit: value that has the last colour.
+        limit: value that has the last color.
         values: from 0 upwards; NaN where it is not known.
     """
 
@@ -50,12 +50,12 @@ def colorings(
     judged: Sequence[LabelQuality] = (),
     truth: Truth | None = None,
 ) -> tuple[Coloring, ...]:
-    """Return everything a trajectory can be coloured by, other than sides and visibility.
+    """Return everything a trajectory can be colored by, other than sides and visibility.
 
     Args:
         tracked: what the tracker left.
         clouds: observed points of each frame [m].
-        judged: its labels, judged; none gives no such colouring.
+        judged: its labels, judged; none gives no such coloring.
         truth: the true meshes, where somebody knows them.
 
     Raises:
@@ -88,7 +88,7 @@ def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_
     return Coloring(
         "cloud",
         "Distance to what was observed [mm]",
-        "Small says little about hidden layers; grey vertices were not seen.",
+        "Small says little about hidden layers; gray vertices were not seen.",
         min(_graded_limit(values), _FARTHEST_CLOUD_MM),
         values,
     )

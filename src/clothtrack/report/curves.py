@@ -20,7 +20,7 @@ class Line:
     Attributes:
         label: what it is; empty when the chart's title says it.
         values: one per frame; NaN leaves a gap.
-        tone: which of the page's line colours, 0 the strongest.
+        tone: which of the page's line colors, 0 the strongest.
     """
 
     label: str

@@ -1,6 +1,6 @@
 """What was observed at a frame, as a picture to draw on and as points.
 
-A view shows the first of these that exists: the colour picture, the depth picture in grey, the
+A view shows the first of these that exists: the color picture, the depth picture in gray, the
 point cloud projected on plain paper.
 """
 
@@ -96,7 +96,7 @@ def thinned(
 
 
 def has_picture(frame: Frame, camera: Camera) -> bool:
-    """Return whether the frame has a colour or a depth picture from this camera."""
+    """Return whether the frame has a color or a depth picture from this camera."""
     return camera.name in frame.color or camera.name in frame.depth
 
 
@@ -115,7 +115,7 @@ def view_picture(
             return _resized(read_color(frame.color[camera.name]), camera)
         if camera.name in frame.depth:
             unit = recording.depth_units_m[camera.name]
-            return _resized(_grey_depth(read_depth(frame.depth[camera.name], unit)), camera)
+            return _resized(_gray_depth(read_depth(frame.depth[camera.name], unit)), camera)
     except ClothTrackError as error:
         log.warning("frame %d of %s: no picture (%s)", frame.index, recording.name, error)
     return cloud_picture(points, camera)
@@ -145,12 +145,12 @@ def _resized(
     return cv2.resize(image, (camera.width, camera.height), interpolation=how)
 
 
-def _grey_depth(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
-    """Return depth in grey: near is light, far is dark, nothing measured is black."""
+def _gray_depth(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
+    """Return depth in gray: near is light, far is dark, nothing measured is black."""
     measured = depth > 0
     if not measured.any():
         return np.zeros((*depth.shape, 3), dtype=np.uint8)
     near, far = np.percentile(depth[measured], (1, 99))
     nearness = 1.0 - np.clip((depth - near) / max(far - near, 1e-3), 0.0, 1.0)
-    grey = np.where(measured, 60 + 170 * nearness, 0).astype(np.uint8)
-    return np.repeat(grey[..., None], 3, axis=2)
+    gray = np.where(measured, 60 + 170 * nearness, 0).astype(np.uint8)
+    return np.repeat(gray[..., None], 3, axis=2)

@@ -1,4 +1,4 @@
-"""Colours of the observed points and of the cloth, from the pictures of a recording."""
+"""Colors of the observed points and of the cloth, from the pictures of a recording."""
 
 import logging
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 PALETTE_SIZE = 255
-"""Most colours of points: one byte each."""
+"""Most colors of points: one byte each."""
 
 _DEPTH_AGREES_M = 0.02
 """A pixel whose depth differs by more than this [m] shows something else than the point."""
 
 _FILM_STEPS = 16
-"""Number of frames from which the colour of the cloth is taken."""
+"""Number of frames from which the color of the cloth is taken."""
 
 _SPREADING_ROUNDS = 64
-"""Distance that colours spread into parts that no camera ever saw [edges]."""
+"""Distance that colors spread into parts that no camera ever saw [edges]."""
 
 _Colors = UInt8[np.ndarray, "points 3"]
 
@@ -47,7 +47,7 @@ def _point_colors(
                 unit = recording.depth_units_m[camera.name]
                 depth = read_depth(frame.depth[camera.name], unit)
         except ClothTrackError as error:
-            log.warning("frame %d of %s: no colour (%s)", frame.index, recording.name, error)
+            log.warning("frame %d of %s: no color (%s)", frame.index, recording.name, error)
             continue
         pixels, z = camera.project(np.asarray(points, np.float64))
         with np.errstate(invalid="ignore"):
@@ -74,9 +74,9 @@ def cloud_colors(
 def vertex_colors(
     tracked: TrackedTrajectory, recording: Recording
 ) -> UInt8[np.ndarray, "vertices 3"] | None:
-    """Return the RGB of each vertex, the mean over frames that show it; None without colour.
+    """Return the RGB of each vertex, the mean over frames that show it; None without color.
 
-    A vertex that no frame shows takes the colour of its neighbours.
+    A vertex that no frame shows takes the color of its neighbors.
     """
     frames = {frame.index: frame for frame in recording.frames}
     sums, counts = np.zeros(tracked.mesh.vertices.shape), np.zeros(tracked.mesh.vertex_count)
@@ -97,7 +97,7 @@ def vertex_colors(
 def few_colors(
     colors: Float[np.ndarray, "points 3"], count: int
 ) -> tuple[UInt8[np.ndarray, "kept 3"], UInt8[np.ndarray, " points"]]:
-    """Return the `count` most frequent colours, and the nearest of them to each point."""
+    """Return the `count` most frequent colors, and the nearest of them to each point."""
     if not len(colors):
         return np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8)
     coarse = (colors.astype(np.int64) >> 3) @ (1 << 10, 1 << 5, 1)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from clothtrack.geometry.mesh import ClothMesh
 
 SMOOTHING_ROUNDS = 6
-"""Averages over the neighbours: a rank jumps where a lower layer ends, and becomes a slope."""
+"""Averages over the neighbors: a rank jumps where a lower layer ends, and becomes a slope."""
 
 ASIDE = 0.003
 """Offset from a vertex at which layers are counted, as a share of the length of an edge."""
@@ -64,10 +64,10 @@ class Layers:
     def _near(self, flat: Float[np.ndarray, "vertices 2"]) -> tuple[np.ndarray, np.ndarray]:
         """Return pairs of a face and a vertex that may lie over or under it."""
         corners = flat[self._faces]
-        centres = corners.mean(axis=1)
-        radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+        centers = corners.mean(axis=1)
+        radii = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
         reach = 1.01 * radii + np.linalg.norm(self._aside)
-        near = cKDTree(flat).query_ball_point(centres, reach, return_sorted=False)
+        near = cKDTree(flat).query_ball_point(centers, reach, return_sorted=False)
         counts = np.array([len(one) for one in near])
         vertex = np.fromiter(chain.from_iterable(near), np.int64, count=int(counts.sum()))
         return np.repeat(np.arange(len(near)), counts), vertex

@@ -43,7 +43,7 @@ _HIDDEN_WIRES = 0.34
 """Opacity of the hidden wire frame, 0..1: what lies over it and is seen must keep its own hue."""
 
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
-"""Share of red, green and blue in a grey value (ITU-R BT.601)."""
+"""Share of red, green and blue in a gray value (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,9 @@ class Overlay:
             # Blue over red cloth would be the hue that says "hidden": under the mesh only light
             # and shade of the photograph are kept.
             pixels, covered = image.reshape(-1, 3), np.flatnonzero(cloth)
-            grey = (pixels[covered] @ _LUMINANCE)[:, None]
+            gray = (pixels[covered] @ _LUMINANCE)[:, None]
             shaded = view.cut(still.image).reshape(-1, 3)[covered]
-            pixels[covered] = grey + SURFACE * (shaded - grey)
+            pixels[covered] = gray + SURFACE * (shaded - gray)
             self._draw_wires(image, view, vertices, visible)
             image = np.clip(image, 0, 255).astype(np.uint8)
             _outline(image, cloth)
@@ -320,7 +320,7 @@ def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 
 
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
-    """Return a calmer copy: less colour, a little lighter, so that the drawing stands out."""
+    """Return a calmer copy: less color, a little lighter, so that the drawing stands out."""
     mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * _LUMINANCE
     image = cv2.transform(picture.astype(np.float32), mixed)
     image += 12.0
@@ -338,8 +338,8 @@ def _picker(image: Picture, view: View, tip: Float[np.ndarray, " 3"], closed: bo
     pixels, depth = view.project(tip[None])
     if not (depth[0] > 1e-3 and np.abs(pixels[0]).max() < 1e4):
         return
-    centre = (round(float(pixels[0, 0])), round(float(pixels[0, 1])))
+    center = (round(float(pixels[0, 0])), round(float(pixels[0, 1])))
     color = rgb255(PICKER_CLOSED if closed else PICKER_OPEN)
-    cv2.circle(image, centre, 9, rgb255(PAPER), 4, cv2.LINE_AA)
-    cv2.circle(image, centre, 9, color, 2, cv2.LINE_AA)
-    cv2.circle(image, centre, 4 if closed else 2, color, -1, cv2.LINE_AA)
+    cv2.circle(image, center, 9, rgb255(PAPER), 4, cv2.LINE_AA)
+    cv2.circle(image, center, 9, color, 2, cv2.LINE_AA)
+    cv2.circle(image, center, 4 if closed else 2, color, -1, cv2.LINE_AA)

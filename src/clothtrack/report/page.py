@@ -81,7 +81,7 @@ def write_report(
         recording: what it was tracked from.
         path: of the page.
         config: how much goes into it.
-        truth: the true meshes; only with them can the cloth be coloured by its error.
+        truth: the true meshes; only with them can the cloth be colored by its error.
         review: decisions about labels.
 
     Raises:

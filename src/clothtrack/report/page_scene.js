@@ -1,4 +1,4 @@
-// What one can do with the scene: colours, views, layers apart, what lies under the pointer, files.
+// What one can do with the scene: colors, views, layers apart, what lies under the pointer, files.
 
 function sceneControls(card, scene) {
   const find = (selector) => card.querySelector(selector), canvas = scene.canvas;
@@ -89,7 +89,7 @@ function wordsOf({ header, arrays, cloth, state }, vertex) {
   return lines;
 }
 
-// The mesh of the shown frame with the colours that it has in the page, as binary PLY [m].
+// The mesh of the shown frame with the colors that it has in the page, as binary PLY [m].
 function plyOf({ header, arrays, cloth, state }) {
   const count = header.vertices, faces = cloth.faces, { palette } = header;
   const colorOf = (k) => {
@@ -100,7 +100,7 @@ function plyOf({ header, arrays, cloth, state }) {
     const place = cloth.values[k] / 254 * 5, first = Math.min(4, Math.floor(place));
     return V.add(palette.heat[first], V.add(palette.heat[first + 1], palette.heat[first], -1), place - first);
   };
-  const text = ["ply", "format binary_little_endian 1.0", "comment clothtrack, metres", `element vertex ${count}`,
+  const text = ["ply", "format binary_little_endian 1.0", "comment clothtrack, meters", `element vertex ${count}`,
     ..."xyz".split("").map((axis) => `property float ${axis}`), ...["red", "green", "blue"].map((one) => `property uchar ${one}`),
     `element face ${faces.length / 3}`, "property list uchar int vertex_indices", "end_header", ""].join("\n");
   const body = new DataView(new ArrayBuffer(15 * count + 13 * faces.length / 3));

@@ -1,6 +1,6 @@
-"""The colours of every picture and page: one meaning, one hue, the same everywhere.
+"""The colors of every picture and page: one meaning, one hue, the same everywhere.
 
-Colours are RGB in 0..1 (float) for shading; `hexadecimal` writes them for style sheets.
+Colors are RGB in 0..1 (float) for shading; `hexadecimal` writes them for style sheets.
 """
 
 import numpy as np
@@ -41,18 +41,18 @@ HEAT = np.array(
 
 
 def heat(values: Float[np.ndarray, " values"], limit: float) -> Float[np.ndarray, "values 3"]:
-    """Return a colour for each value between 0 (calm blue) and `limit` (red); more stays red."""
+    """Return a color for each value between 0 (calm blue) and `limit` (red); more stays red."""
     place = np.clip(np.nan_to_num(values / limit, nan=0.0), 0.0, 1.0) * (len(HEAT) - 1)
     stops = np.arange(len(HEAT))
     return np.stack([np.interp(place, stops, channel) for channel in HEAT.T], axis=-1)
 
 
 def rgb255(color: tuple[float, float, float]) -> tuple[int, int, int]:
-    """Return a colour as three numbers from 0 to 255."""
+    """Return a color as three numbers from 0 to 255."""
     red, green, blue = (round(255 * channel) for channel in color)
     return red, green, blue
 
 
 def hexadecimal(color: tuple[float, float, float]) -> str:
-    """Return a colour as a style sheet writes it (`#4a7db0`)."""
+    """Return a color as a style sheet writes it (`#4a7db0`)."""
     return "#{:02x}{:02x}{:02x}".format(*rgb255(color))

@@ -39,9 +39,9 @@ def write_rerun(
     colorings: Sequence[Coloring] = (),
     charts: Sequence[Chart] = (),
 ) -> Path:
-    """Write mesh, observed points, pickers, colour pictures and curves over frame and time.
+    """Write mesh, observed points, pickers, color pictures and curves over frame and time.
 
-    The entities are `world/cloth` (coloured by visibility), `world/cloth_KEY` per colouring,
+    The entities are `world/cloth` (colored by visibility), `world/cloth_KEY` per coloring,
     `world/observed`, `world/picker/NAME`, `camera/NAME`, and `curves/...`; the time lines `frame`
     and `time`.
 

@@ -197,10 +197,10 @@ async function openScene(card) {
 
   function drawTable({ clip, distance }) {
     const [point, normal] = header.table, [first, second] = V.across(normal);
-    const centre = V.add(header.origin, normal, V.dot(V.add(point, header.origin, -1), normal) - 5e-4);
+    const center = V.add(header.origin, normal, V.dot(V.add(point, header.origin, -1), normal) - 5e-4);
     programs.table.use();
     programs.table.feed("position", buffers.square, 3);
-    programs.table.set({ ...light.uniforms(), clip, centre, first_axis: first, second_axis: second, side: 1.6 * distance, paint: palette.table });
+    programs.table.set({ ...light.uniforms(), clip, center, first_axis: first, second_axis: second, side: 1.6 * distance, paint: palette.table });
     gl.depthMask(false);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     gl.depthMask(true);

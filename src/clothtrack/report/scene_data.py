@@ -48,7 +48,7 @@ SCENE_POINTS = 1500
 """Most observed points of a frame that are shown."""
 
 _CLOUD_GRAINS = 8
-"""Observed points are rounded to this many grains, half a millimetre: the rest is noise."""
+"""Observed points are rounded to this many grains, half a millimeter: the rest is noise."""
 
 _STRIP_M = 0.02
 """Width of the strips in which observed points are sorted [m]."""
@@ -77,9 +77,9 @@ class SceneContents:
         clouds: observed points of each frame [m].
         pickers: where the pickers were.
         table: where the table is.
-        colorings: what the cloth can be coloured by.
+        colorings: what the cloth can be colored by.
         views: of the recording's cameras: the parts of their pictures that the page shows.
-        cloud_colors: RGB of each observed point; none where there is no colour picture.
+        cloud_colors: RGB of each observed point; none where there is no color picture.
         film: RGB of each vertex as the film shows it.
     """
 
@@ -148,7 +148,7 @@ def recorded_scene(
 
 def packed(scene: SceneContents) -> tuple[str, str]:
     """Return a scene as a JSON header and Base64 data."""
-    # In this order neighbours follow each other, and what follows looks alike: it packs better.
+    # In this order neighbors follow each other, and what follows looks alike: it packs better.
     orders = [np.lexsort((p[:, 1], np.floor(p[:, 0] / _STRIP_M))) for p in scene.clouds]
     clouds = [points[order] for points, order in zip(scene.clouds, orders, strict=True)]
     everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds])
@@ -219,7 +219,7 @@ class _Packer:
 def _cloud_colors(
     scene: SceneContents, orders: Sequence[Int[np.ndarray, " _"]], pack: _Packer
 ) -> list[list[int]]:
-    """Pack one byte for each observed point; gives the colours that the bytes stand for."""
+    """Pack one byte for each observed point; gives the colors that the bytes stand for."""
     if not scene.cloud_colors:
         return []
     sorted_colors = [one[order] for one, order in zip(scene.cloud_colors, orders, strict=True)]
@@ -237,7 +237,7 @@ def _bytes_of(coloring: Coloring) -> np.ndarray:
 
 
 def _facts(scene: SceneContents) -> dict[str, Any]:
-    """Return everything that is not an array: eye, table, pickers, colours."""
+    """Return everything that is not an array: eye, table, pickers, colors."""
     eye = scene.eye
     pickers = [
         {
@@ -290,6 +290,6 @@ def _view(view: View) -> dict[str, Any]:
         "down": pose[:3, 1].tolist(),
         "forward": pose[:3, 2].tolist(),
         "focal": [camera.fx, camera.fy],
-        "centre": [camera.cx - view.columns.start, camera.cy - view.rows.start],
+        "center": [camera.cx - view.columns.start, camera.cy - view.rows.start],
         "size": [view.columns.stop - view.columns.start, view.rows.stop - view.rows.start],
     }

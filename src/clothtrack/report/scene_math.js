@@ -64,12 +64,12 @@ function clipFromEye({ eye, right, above, back, fieldOfView }, aspect, near, far
 
 // The same of a real camera, its picture as large as the canvas allows.
 function clipFromCamera(camera, width, height, near, far) {
-  const { eye, right, down, forward, focal, centre, size } = camera;
+  const { eye, right, down, forward, focal, center, size } = camera;
   const scale = Math.min(width / size[0], height / size[1]);
-  // Pixel centres lie at integers: the middle of the picture is at half its size, less a half.
+  // Pixel centers lie at integers: the middle of the picture is at half its size, less a half.
   const row = (axis, side, which, sign) => {
     const f = sign * 2 * scale * focal[which] / side;
-    const shift = sign * 2 * scale * (centre[which] + 0.5 - size[which] / 2) / side;
+    const shift = sign * 2 * scale * (center[which] + 0.5 - size[which] / 2) / side;
     const local = V.add(V.scale(axis, f), forward, shift);
     return [...local, -V.dot(local, eye)];
   };
@@ -79,11 +79,11 @@ function clipFromCamera(camera, width, height, near, far) {
 
 // Straight down along `up` onto a square of the plane through `middle`; 0 is high, 1 is low.
 function clipFromAbove(middle, [first, second, up], half, low, high) {
-  const rise = -2 / (high - low), centre = V.dot(up, middle) + (high + low) / 2;
+  const rise = -2 / (high - low), center = V.dot(up, middle) + (high + low) / 2;
   return columns([
     [...V.scale(first, 1 / half), -V.dot(first, middle) / half],
     [...V.scale(second, 1 / half), -V.dot(second, middle) / half],
-    [...V.scale(up, rise), -rise * centre],
+    [...V.scale(up, rise), -rise * center],
     [0, 0, 0, 1],
   ]);
 }

@@ -15,7 +15,7 @@ function pointsOfAll({ header, points }, starts) {
 // Points of the cloth as it is drawn now, its layers lifted.
 const lifted = (cloth, shift) => cloth.positions.map((value, k) => value + cloth.ranks[Math.floor(k / 3)] * shift[k % 3]);
 
-// Colours of the observed points of a step, 0 to 1.
+// Colors of the observed points of a step, 0 to 1.
 function tintsOf({ header, arrays }, first, count) {
   const tints = new Float32Array(3 * count), places = arrays["cloud colors"];
   if (places) for (let k = 0; k < count; k++) tints.set(header.cloudColors[places[first + k]].map((part) => part / 255), 3 * k);
@@ -28,9 +28,9 @@ const pathsOf = (header) => header.pickers.map(({ tips, closed }) =>
 
 // Each real camera as the edges of a pyramid, as deep as a fifth of the cloth is wide.
 function frustumsOf(header, size) {
-  return header.views.map(({ eye, right, down, forward, focal, centre, size: [width, height] }) => {
+  return header.views.map(({ eye, right, down, forward, focal, center, size: [width, height] }) => {
     const corners = [[0, 0], [width, 0], [width, height], [0, height]].map(([x, y]) => {
-      const ray = V.add(V.add(forward, right, (x - 0.5 - centre[0]) / focal[0]), down, (y - 0.5 - centre[1]) / focal[1]);
+      const ray = V.add(V.add(forward, right, (x - 0.5 - center[0]) / focal[0]), down, (y - 0.5 - center[1]) / focal[1]);
       return V.add(eye, ray, 0.2 * size);
     });
     return corners.flatMap((corner, k) => [{ pair: [eye, corner] }, { pair: [corner, corners[(k + 1) % 4]] }]);
@@ -89,15 +89,15 @@ function skyMap(gl, header) {
   return {
     // Choose the part of the table that the cloth lies on, and some air around.
     frame: (cloth, shift) => {
-      const points = lifted(cloth, shift), centre = middleOf(points);
+      const points = lifted(cloth, shift), center = middleOf(points);
       let reach = 0, low = 0, high = 0;
       for (let k = 0; k < points.length; k += 3) {
-        const p = [points[k], points[k + 1], points[k + 2]], from = V.add(p, centre, -1);
+        const p = [points[k], points[k + 1], points[k + 2]], from = V.add(p, center, -1);
         reach = Math.max(reach, Math.abs(V.dot(from, first)), Math.abs(V.dot(from, second)));
         const rise = V.dot(V.add(p, point, -1), normal);
         [low, high] = [Math.min(low, rise), Math.max(high, rise)];
       }
-      window.middle = V.add(centre, normal, -V.dot(V.add(centre, point, -1), normal));
+      window.middle = V.add(center, normal, -V.dot(V.add(center, point, -1), normal));
       Object.assign(window, { half_side: reach + 0.06, low: low - 0.02, high: high + 0.02, shade_known: 1 });
     },
     above: (program, render) => pass(upper, program, () => {

@@ -114,11 +114,11 @@ void main() {
 
 const TABLE = [`#version 300 es
 in vec3 position;
-uniform mat4 clip; uniform vec3 centre, first_axis, second_axis; uniform float side;
+uniform mat4 clip; uniform vec3 center, first_axis, second_axis; uniform float side;
 out vec2 place_at; out vec3 at;
 void main() {
   place_at = side * position.xy;
-  at = centre + place_at.x * first_axis + place_at.y * second_axis;
+  at = center + place_at.x * first_axis + place_at.y * second_axis;
   gl_Position = clip * vec4(at, 1.0);
 }`, `#version 300 es
 precision highp float;

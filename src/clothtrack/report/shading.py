@@ -153,7 +153,7 @@ class Shader:
 
 
 def _eight_bits(image: Float[np.ndarray, "*pixels 3"]) -> UInt8[np.ndarray, "*pixels 3"]:
-    """Return colours from 0 to 1 as bytes."""
+    """Return colors from 0 to 1 as bytes."""
     return np.rint(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
 
 

@@ -130,7 +130,7 @@ def video_card(title: str, legend: str, pictures: Pictures) -> str:
 
 
 def scene_card(contents: SceneContents) -> str:
-    """Return the scene that can be orbited, with its colourings and controls."""
+    """Return the scene that can be orbited, with its colorings and controls."""
     header, data = packed(contents)
     modes = _modes(contents)
     options = "".join(
@@ -152,7 +152,7 @@ def scene_card(contents: SceneContents) -> str:
 
 
 def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
-    """Return what the cloth can be coloured by: key, title, note, legend."""
+    """Return what the cloth can be colored by: key, title, note, legend."""
     modes = []
     if len(contents.faces):
         modes.append(("sides", "outer and inner side", "", _sides_legend()))
@@ -160,8 +160,8 @@ def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
         legend = swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed")
         modes.append(("visible", "visible and hidden", "", legend))
     if contents.film is not None:
-        note = "The mean colour of each vertex in the frames that show it."
-        modes.append(("film", "colours of the film", note, ""))
+        note = "The mean color of each vertex in the frames that show it."
+        modes.append(("film", "colors of the film", note, ""))
     return modes + [(o.key, o.title, o.note, _scale_legend(o)) for o in contents.colorings]
 
 
@@ -174,7 +174,7 @@ def _switches(contents: SceneContents, options: str) -> str:
     )
     parts = []
     if cloth:
-        parts.append(f'<label>Colours <select name="mode">{options}</select></label>')
+        parts.append(f'<label>Colors <select name="mode">{options}</select></label>')
     if views:
         parts.append(
             '<label title="Key c changes between them">View <select name="view">'
@@ -202,7 +202,7 @@ def _switches(contents: SceneContents, options: str) -> str:
     )
     if cloth:
         parts.append(
-            ' <button type="button" id="ply" title="Save the mesh of this frame with its colours '
+            ' <button type="button" id="ply" title="Save the mesh of this frame with its colors '
             'as PLY">PLY</button>'
         )
     parts.append(
@@ -213,17 +213,17 @@ def _switches(contents: SceneContents, options: str) -> str:
 
 
 def swatch(color: tuple[float, float, float], words: str) -> str:
-    """Return a spot of colour and what it means."""
+    """Return a spot of color and what it means."""
     return f'<i class="swatch" style="background:{hexadecimal(color)}"></i>{escape(words)}'
 
 
 def _sides_legend() -> str:
-    """Return the colours of the two sides."""
+    """Return the colors of the two sides."""
     return swatch(OUTSIDE, "outer side") + swatch(INSIDE, "inner side")
 
 
 def _scale_legend(coloring: Coloring) -> str:
-    """Return the scale of a graded colouring."""
+    """Return the scale of a graded coloring."""
     stops = ", ".join(hexadecimal(tuple(stop)) for stop in HEAT.tolist())
     return (
         f'&ensp;0 <i class="ramp" style="background:linear-gradient(90deg, {stops})"></i> '

@@ -33,8 +33,8 @@ def look_at(
     world_from_camera[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     world_from_camera[:3, 3] = eye
     focal = 0.5 * height / np.tan(np.radians(field_of_view_deg) / 2)
-    centre = ((width - 1) / 2, (height - 1) / 2)
-    return Camera(name, width, height, focal, focal, *centre, world_from_camera)
+    center = ((width - 1) / 2, (height - 1) / 2)
+    return Camera(name, width, height, focal, focal, *center, world_from_camera)
 
 
 def three_quarter_view(
@@ -61,7 +61,7 @@ def three_quarter_view(
     sideways = np.cos(azimuth) * first + np.sin(azimuth) * second
     direction = np.cos(elevation) * sideways + np.sin(elevation) * upward
     distance = max(0.05, float(np.linalg.norm(high - low)))
-    for _ in range(6):  # fixed point: the points' box in the image is centred and just fits
+    for _ in range(6):  # fixed point: the points' box in the image is centerd and just fits
         eye = target + distance * direction
         camera = look_at(eye, target, width=width, height=height, up=tuple(upward))
         pixels, depth = camera.project(points)
@@ -101,13 +101,13 @@ def view_of(
 
 
 def _azimuth_of(
-    camera: Camera, centre: Float[np.ndarray, " 3"], up: tuple[float, float, float]
+    camera: Camera, center: Float[np.ndarray, " 3"], up: tuple[float, float, float]
 ) -> float:
     """Return where a camera stands around a point, as `three_quarter_view` counts it [degrees]."""
     upward = np.asarray(up) / np.linalg.norm(up)
     first = np.eye(3)[0 if abs(upward[0]) < 0.9 else 1]
     first = first - (first @ upward) * upward
-    towards = camera.position - centre
+    towards = camera.position - center
     second = np.cross(upward, first / np.linalg.norm(first))
     return float(np.degrees(np.arctan2(towards @ second, towards @ first)))
 

@@ -12,12 +12,12 @@ from clothtrack.simulation import kernels, sweep_kernels
 
 @dataclass(frozen=True, eq=False)
 class DistanceConstraints:
-    """Pairs of vertices with their rest distance, sorted by colour.
+    """Pairs of vertices with their rest distance, sorted by color.
 
     Attributes:
         pairs: the two vertices of each constraint.
         lengths: rest distances [m].
-        first: where each colour begins, and the end; no two pairs of one colour share a vertex.
+        first: where each color begins, and the end; no two pairs of one color share a vertex.
     """
 
     pairs: Int32[np.ndarray, "pairs 2"]
@@ -25,8 +25,8 @@ class DistanceConstraints:
     first: tuple[int, ...]
 
     @property
-    def colours(self) -> list[tuple[int, int]]:
-        """First pair and number of pairs of each colour."""
+    def colors(self) -> list[tuple[int, int]]:
+        """First pair and number of pairs of each color."""
         return [
             (start, end - start) for start, end in zip(self.first[:-1], self.first[1:], strict=True)
         ]
@@ -55,7 +55,7 @@ class DeviceConstraints:
             wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
             wp.array(constraints.lengths, dtype=float, device=device),
         ]
-        self._colours = constraints.colours
+        self._colors = constraints.colors
         self._bounds = wp.array(constraints.first, dtype=int, device=device)
         self._shape = [limit, buckling]
 
@@ -73,7 +73,7 @@ class DeviceConstraints:
                 device=self._device,
             )
             return
-        for first, count in self._colours:
+        for first, count in self._colors:
             wp.launch(
                 kernels.solve_distances,
                 dim=(environments, count),
@@ -84,34 +84,34 @@ class DeviceConstraints:
 
 def stretch_constraints(mesh: ClothMesh) -> DistanceConstraints:
     """Return the edges of the mesh at the length they have in it."""
-    return _coloured(mesh, mesh.edges)
+    return _colored(mesh, mesh.edges)
 
 
 def bend_constraints(mesh: ClothMesh) -> DistanceConstraints:
     """The pairs of vertices that face each other across an edge, at their distance in the mesh."""
     pairs = np.sort(mesh.opposite_pairs, axis=1)
     pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
-    return _coloured(mesh, pairs.reshape(-1, 2))
+    return _colored(mesh, pairs.reshape(-1, 2))
 
 
-def _colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
-    """Return the lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
+def _color_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
+    """Return the lowest color that no earlier pair with a common vertex has (greedy coloring)."""
     used: dict[int, int] = {}
-    colours = np.zeros(len(pairs), dtype=np.int64)
+    colors = np.zeros(len(pairs), dtype=np.int64)
     for index, (first, second) in enumerate(pairs.tolist()):
         taken = used.get(first, 0) | used.get(second, 0)
         free = ~taken & (taken + 1)
-        colours[index] = free.bit_length() - 1
+        colors[index] = free.bit_length() - 1
         used[first] = used.get(first, 0) | free
         used[second] = used.get(second, 0) | free
-    return colours
+    return colors
 
 
-def _coloured(mesh: ClothMesh, pairs: Int[np.ndarray, "pairs 2"]) -> DistanceConstraints:
-    colours = _colour_pairs(pairs)
-    order = np.argsort(colours, kind="stable")
+def _colored(mesh: ClothMesh, pairs: Int[np.ndarray, "pairs 2"]) -> DistanceConstraints:
+    colors = _color_pairs(pairs)
+    order = np.argsort(colors, kind="stable")
     pairs = np.ascontiguousarray(pairs[order], dtype=np.int32)
-    counts = np.bincount(colours) if len(colours) else np.zeros(0, dtype=np.int64)
+    counts = np.bincount(colors) if len(colors) else np.zeros(0, dtype=np.int64)
     first = (0, *np.cumsum(counts).tolist())
     ends = np.asarray(mesh.vertices, dtype=np.float64)[pairs]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).astype(np.float32)

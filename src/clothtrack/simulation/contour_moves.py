@@ -5,7 +5,7 @@ N. Magnenat-Thalmann, SIGGRAPH 2006, doi:10.1145/1141911.1142007; `Contours.shor
 the sheets move apart as wholes, alike along the whole contour. The second way is the sum of the
 first over the contour, or, where the contour cuts a small piece off one sheet, straight back out of
 the other (D. Baraff, A. Witkin, M. Kass, "Untangling cloth", SIGGRAPH 2003,
-doi:10.1145/882262.882357, colour such pieces in closed contours). An open contour, which ends at a
+doi:10.1145/882262.882357, color such pieces in closed contours). An open contour, which ends at a
 rim, cuts a piece off as well when it is thought to go on from there (M. Wicke, H. Lanker, M. Gross,
 "Untangling cloth with boundaries", VMV 2006): vertices belong to the side of it that they are
 nearer to, in edges.

@@ -219,7 +219,7 @@ def solve_distances(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One Gauss-Seidel pass over the pairs of one colour (XPBD, equation 18), a thread each.
+    """One Gauss-Seidel pass over the pairs of one color (XPBD, equation 18), a thread each.
 
     A pair shorter than `limit` of its length resists without compliance: a sharp crease, for bend
     pairs; for edges the limit is 0. Another that is shorter than its length gives `buckling` times
@@ -276,7 +276,7 @@ def end_substep(
 
     Contact and table stop what approaches; undoing an older crossing moves a vertex but gives it
     no speed, so that a layer that was placed inside another is not flung away. What is pulled does
-    not sleep: it would never come to a goal that is less than a millimetre away.
+    not sleep: it would never come to a goal that is less than a millimeter away.
     """
     environment, thread = wp.tid()
     if environment == 0 and thread == 0:

@@ -1,7 +1,7 @@
 """Stretch and bend on a CPU: one thread goes through all constraints of an environment.
 
-The same as `solve_distances` colour by colour, but written in C++, because only there can be said
-what a colour is: its constraints share no vertex, so four of them may be solved at once by vector
+The same as `solve_distances` color by color, but written in C++, because only there can be said
+what a color is: its constraints share no vertex, so four of them may be solved at once by vector
 instructions. Two vertices stand far apart in memory; each is fetched as a whole, and four of them
 are turned into vectors of x, y and z in registers. That is three quarters faster than gathering
 coordinate by coordinate, and needs no more than every processor has.
@@ -15,7 +15,7 @@ from clothtrack.simulation.kernels import Clock
 
 wp.set_module_options({"enable_backward": False})
 
-_SOLVE_COLOUR = """
+_SOLVE_COLOR = """
     const int* ends = reinterpret_cast<const int*>(pairs.data);
     const float* rest = lengths.data;
     const float* mass = inverse_masses.data;
@@ -101,8 +101,8 @@ _SOLVE_COLOUR = """
 
 
 @no_type_check
-@wp.func_native(_SOLVE_COLOUR)
-def _solve_colour(
+@wp.func_native(_SOLVE_COLOR)
+def _solve_color(
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
     begin: int,
@@ -122,22 +122,22 @@ def sweep_constraints(
     clocks: wp.array(dtype=Clock),
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
-    colours: wp.array(dtype=int),
+    colors: wp.array(dtype=int),
     compliances: wp.array(dtype=float),
     limit: float,
     buckling: float,
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One Gauss-Seidel pass over all colours; `colours` says where each begins, and the end.
+    """One Gauss-Seidel pass over all colors; `colors` says where each begins, and the end.
 
     A pair shorter than `limit` of its length resists without compliance; another that is shorter
     than its length gives `buckling` times more than one that is longer.
     """
     environment = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
-    for colour in range(colours.shape[0] - 1):
-        _solve_colour(
-            pairs, lengths, colours[colour], colours[colour + 1], softness, limit, buckling,
+    for color in range(colors.shape[0] - 1):
+        _solve_color(
+            pairs, lengths, colors[color], colors[color + 1], softness, limit, buckling,
             inverse_masses[environment], positions[environment],
         )  # fmt: skip

@@ -14,7 +14,7 @@ def flood(
     edges: wp.array(dtype=int),
     seeds: wp.array2d(dtype=int),
     offsets: wp.array(dtype=int),
-    neighbours: wp.array(dtype=int),
+    neighbors: wp.array(dtype=int),
     joining: wp.array(dtype=int),
     cut: wp.array2d(dtype=wp.uint8),
     queue: wp.array2d(dtype=int),
@@ -24,8 +24,8 @@ def flood(
 
     A thread is one sheet of one contour: its crossings are those from `first` to the next. The
     edges in them are cut; their ends above the triangles that they pass through are seeds of 1,
-    those below of 2. `offsets`, `neighbours`, `joining`: the mesh as a graph, the edge to each
-    neighbour. Shapes of the last three: sheets, and edges or vertices.
+    those below of 2. `offsets`, `neighbors`, `joining`: the mesh as a graph, the edge to each
+    neighbor. Shapes of the last three: sheets, and edges or vertices.
     """
     sheet = wp.tid()
     end = int(0)
@@ -42,7 +42,7 @@ def flood(
         vertex = queue[sheet, begin]
         begin += 1
         for place in range(offsets[vertex], offsets[vertex + 1]):
-            other = neighbours[place]
+            other = neighbors[place]
             if labels[sheet, other] == wp.int8(0) and cut[sheet, joining[place]] == wp.uint8(0):
                 labels[sheet, other] = labels[sheet, vertex]
                 queue[sheet, end] = other

@@ -96,7 +96,7 @@ def observer(
     Args:
         recording: read and validated.
         spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
-        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+        segmenter: finds the cloth in a picture; the recording's masks or colors by default.
         color: follow points of the cloth in the pictures, too.
         look: is shown the pictures of every frame that is looked at.
         kept: clouds of so many frames stay in memory.
@@ -138,7 +138,7 @@ def track_recording(
         recording: read and validated.
         config: the whole configuration.
         device: "cpu" or "cuda:0".
-        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+        segmenter: finds the cloth in a picture; the recording's masks or colors by default.
         progress: called after every frame.
         parts: replacements for functions of Algorithm 1, by their names in `_PARTS`.
         assemble: makes the method; that of `config.mode` by default.

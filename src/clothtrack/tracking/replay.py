@@ -110,7 +110,7 @@ def _compared(tracked: TrackedTrajectory, again: TrackedTrajectory) -> Replay:
         gaps = f"by {gaps_m[frame]:.1g} m, later frames by up to {gaps_m.max():.1g} m"
         then, here = tracked.provenance.get("processor"), again.provenance["processor"]
         if then != here:
-            # What is rounded otherwise in a last bit grows to millimetres over an action.
+            # What is rounded otherwise in a last bit grows to millimeters over an action.
             return Replay(
                 "impossible",
                 f"replayed, frame {frame} differs ({gaps}), which says nothing: it was tracked on "

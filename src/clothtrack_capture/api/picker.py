@@ -29,12 +29,12 @@ def find_picker(
     force: bool = False,
     opened: "Callable[[str], None] | None" = None,
 ) -> Result:
-    """Find what moved the cloth, and its pick-and-places: a coloured tip, or a hand, by clicks.
+    """Find what moved the cloth, and its pick-and-places: a colored tip, or a hand, by clicks.
 
     Args:
         recording: folder with a recording.json that has a table (see calibrate-camera).
-        tip_color: name of the colour of the tool's tip, such as pink.
-        tip_click: a click on the tip, in place of a colour name.
+        tip_color: name of the color of the tool's tip, such as pink.
+        tip_click: a click on the tip, in place of a color name.
         by_hand: a bare hand moved it; a page opens to click picks and places on.
         pick: where and in which frame a hand took the cloth, in place of the page; repeatable.
         place: where and in which frame it let go, one for each --pick.
@@ -68,7 +68,7 @@ def find_picker(
 
 
 def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -> Result:
-    """Picks and places from a coloured tip."""
+    """Picks and places from a colored tip."""
     from clothtrack_capture.picker_detection import find_picker as find
     from clothtrack_capture.picker_detection import keep_picker, tip_members
 

@@ -22,7 +22,7 @@ def segment(
     """Show which pixels are cloth, by one click: on a page, or with --click.
 
     Args:
-        recording: folder with a recording.json and colour pictures.
+        recording: folder with a recording.json and color pictures.
         click: on the cloth; without it a page opens on this machine, where a box can be drawn too.
         frame: in which it is given.
         camera: whose pictures, when there are several.

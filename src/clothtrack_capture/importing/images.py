@@ -76,8 +76,8 @@ def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
     """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
 
     Args:
-        image: of counts, or of floats in metres (REP 118).
-        unit_m: metres per count.
+        image: of counts, or of floats in meters (REP 118).
+        unit_m: meters per count.
 
     Raises:
         TruncatedError: it is no depth picture.
@@ -85,16 +85,16 @@ def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
     if str(image.encoding).lower() != "32fc1":
         return np.multiply(raw_depth(image, unit_m), np.float32(unit_m), dtype=np.float32)
     order = ">" if image.is_bigendian else "<"
-    metres = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4").astype(np.float32)
-    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
+    meters = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4").astype(np.float32)
+    return np.where(np.isfinite(meters) & (meters > 0), meters, np.float32(0))
 
 
 def _counts_of(
-    metres: Shaped[np.ndarray, "height width"], unit_m: float
+    meters: Shaped[np.ndarray, "height width"], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
-    """Return metres in whole units; 0 where not finite, not positive or beyond 65,535 units."""
+    """Return meters in whole units; 0 where not finite, not positive or beyond 65,535 units."""
     with np.errstate(invalid="ignore", over="ignore"):
-        units = np.rint(metres.astype(np.float32) / np.float32(unit_m))
+        units = np.rint(meters.astype(np.float32) / np.float32(unit_m))
         return np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
 
 
@@ -135,7 +135,7 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
     """Return the PNG in a CompressedImage of the transport `compressedDepth`.
 
-    It follows a head of 12 bytes. With it what turns its numbers into metres, where depth was
+    It follows a head of 12 bytes. With it what turns its numbers into meters, where depth was
     measured in floats; else they are counts.
 
     Raises:
@@ -161,21 +161,21 @@ def inverse_depth(
     """Return depth, in whole units, of a PNG that stores a / z + b.
 
     Args:
-        png: of 16-bit grey.
+        png: of 16-bit gray.
         curve: a and b.
-        unit_m: metres per unit of the result.
+        unit_m: meters per unit of the result.
 
     Raises:
         TruncatedError: the PNG is damaged.
     """
     counts, (scale, shift) = png_depth(png), curve
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        metres = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
-    return _counts_of(np.where(counts > 0, metres, 0), unit_m)
+        meters = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
+    return _counts_of(np.where(counts > 0, meters, 0), unit_m)
 
 
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
-    """Return the counts of a whole 16-bit grey PNG.
+    """Return the counts of a whole 16-bit gray PNG.
 
     Raises:
         TruncatedError: it breaks off, is too large or has other bits.
@@ -183,11 +183,11 @@ def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
     encoded_size(data)
     if not data.startswith(SIGNATURE):
         raise TruncatedError(
-            "depth as a JPEG, which has 8 bits and changes them; write 16-bit grey PNG"
+            "depth as a JPEG, which has 8 bits and changes them; write 16-bit gray PNG"
         )
     if data[24:26] != b"\x10\x00":
         raise TruncatedError(
-            f"a depth PNG of {data[24]} bits and colour type {data[25]}; 16-bit grey is depth"
+            f"a depth PNG of {data[24]} bits and color type {data[25]}; 16-bit gray is depth"
         )
     try:
         counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

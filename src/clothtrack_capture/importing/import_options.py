@@ -11,17 +11,17 @@ class ImportOptions:
 
     Attributes:
         depth_topic: topic of depth; found by the usual names.
-        color_topic: topic of colour; found by the usual names.
+        color_topic: topic of color; found by the usual names.
         without_color: import depth alone.
-        depth_unit_m: metres per unit of depth, where the source does not say (0.001 = mm).
+        depth_unit_m: meters per unit of depth, where the source does not say (0.001 = mm).
         intrinsics: JSON file with the intrinsics, where the source has none.
         fps: pictures per second, for folders without time stamps.
-        tolerance_s: how far apart colour and depth may be [s]; half the time between depth pictures
+        tolerance_s: how far apart color and depth may be [s]; half the time between depth pictures
             by default.
-        world_from_camera: JSON file with the colour camera's pose in the world, 4 x 4, metres, and
+        world_from_camera: JSON file with the color camera's pose in the world, 4 x 4, meters, and
             with the table where `calibrate-camera --output` wrote it.
         world_frame: TF frame that is the world.
-        picker_csv: the picker's path: picker.csv, or time,x,y,z[,closed] in seconds and metres.
+        picker_csv: the picker's path: picker.csv, or time,x,y,z[,closed] in seconds and meters.
         picker_clock: clock of that file: 0 is the first frame, or the source's time stamps.
         picker_topic: topic of the picker's tip: PoseStamped, PointStamped, Odometry, ...
         picker_frame: TF frame of the picker's tip.
@@ -30,7 +30,7 @@ class ImportOptions:
         actions: first and last frame of every action, such as 10-50 60-90; from the gripper by
             default.
         cloth: what is filmed.
-        cloth_color: its colour's name, to tell it from the rest.
+        cloth_color: its color's name, to tell it from the rest.
         workers: threads; as many as processors, at most four, by default.
     """
 

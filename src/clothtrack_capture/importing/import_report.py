@@ -25,9 +25,9 @@ class ImportReport:
         frames_per_s: frames per second, over the whole duration [1/s].
         camera: the recording's camera, in words.
         streams: which topic, track or folder each thing came from.
-        depth_unit_m: metres per unit of depth.
+        depth_unit_m: meters per unit of depth.
         depth_unit_origin: where the unit comes from.
-        registration: whether depth had to be carried to the colour camera.
+        registration: whether depth had to be carried to the color camera.
         tolerance_s: how far apart the pictures of a frame may be [s].
         worst_apart_s: how far apart they are at most [s].
         dropped: what was left out, in words.
@@ -68,7 +68,7 @@ class ImportReport:
             "depth unit": f"{self.depth_unit_m:g} m ({self.depth_unit_origin})",
             "registration": self.registration,
         }
-        if "colour" in self.streams:
+        if "color" in self.streams:
             facts["pairing"] = (
                 f"at most {1e3 * self.worst_apart_s:.1f} ms apart "
                 f"(tolerance {1e3 * self.tolerance_s:.1f} ms)"
@@ -155,10 +155,10 @@ def _aside(pickers: object) -> str:
 def _registration(streams: Streams, registration: Registration) -> str:
     calibration = streams.calibration
     if registration.carried:
-        return "depth carried to the colour camera, nearest wins, uncovered pixels 0"
+        return "depth carried to the color camera, nearest wins, uncovered pixels 0"
     if not calibration.depth.straight:
         return "none needed; distortion taken out"
-    return "none needed" if calibration.color is not None else "none needed: no colour"
+    return "none needed" if calibration.color is not None else "none needed: no color"
 
 
 def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
@@ -166,10 +166,10 @@ def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
     if pairing.depth_alone:
         advice = f" ({pairing.advice})" if pairing.advice else ""
         dropped.append(
-            f"{pairing.depth_alone} depth pictures without colour near enough in time{advice}"
+            f"{pairing.depth_alone} depth pictures without color near enough in time{advice}"
         )
     if pairing.color_alone:
-        dropped.append(f"{pairing.color_alone} colour pictures without depth near enough in time")
+        dropped.append(f"{pairing.color_alone} color pictures without depth near enough in time")
     if pairing.doubles:
         dropped.append(f"{pairing.doubles} depth pictures with the time stamp of another")
     dropped += [f"{count} frames: {reason}" for reason, count in damaged.most_common(5)]
@@ -203,7 +203,7 @@ def _missing(
         missing.append(f"the table: clothtrack calibrate-camera {folder} --keep-world finds it")
     if not pickers:
         missing.append(
-            f"the picker's path: clothtrack find-picker {folder} finds a coloured tip in the "
+            f"the picker's path: clothtrack find-picker {folder} finds a colored tip in the "
             "pictures (--tip-color NAME), or a bare hand by clicks (--by-hand); or write "
             "picker.csv (docs/data_format.md), or import again with --picker-csv, --picker-topic "
             "or --picker-frame"
@@ -222,7 +222,7 @@ def _missing(
         )
     if streams.color is not None and cloth.color is None:
         missing.append(
-            f"which pixels are cloth: clothtrack segment {folder} by a click, or its colour by "
+            f"which pixels are cloth: clothtrack segment {folder} by a click, or its color by "
             "--cloth-color NAME, or cloth.color in recording.json"
         )
     return missing

@@ -21,7 +21,7 @@ _WIDEST_RAY = 100.0  # tangent of the angle to the axis: less than a degree from
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """How a camera maps directions to pixels, distortion included; pixel centres at integers.
+    """How a camera maps directions to pixels, distortion included; pixel centers at integers.
 
     Attributes:
         width: picture width [pixels].
@@ -82,7 +82,7 @@ class Intrinsics:
         return self.width, self.height
 
     def rectified(self) -> "Intrinsics":
-        """Return the pinhole with the same focal lengths and centre, without distortion."""
+        """Return the pinhole with the same focal lengths and center, without distortion."""
         return replace(self, distortion=(), fisheye=False)
 
     def camera(self, name: str, world_from_camera: Float[np.ndarray, "4 4"]) -> Camera:
@@ -156,7 +156,7 @@ class Intrinsics:
 
         Args:
             picture: taken through this lens.
-            nearest: copy the nearest pixel (depth) instead of interpolating (colour).
+            nearest: copy the nearest pixel (depth) instead of interpolating (color).
         """
         if self.straight:
             return picture

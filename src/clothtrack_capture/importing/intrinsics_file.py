@@ -30,10 +30,10 @@ class IntrinsicsFile:
 
     Attributes:
         depth: intrinsics of the depth pictures.
-        color: intrinsics of the colour pictures.
-        color_from_depth: rigid transform, depth camera to colour camera [m].
+        color: intrinsics of the color pictures.
+        color_from_depth: rigid transform, depth camera to color camera [m].
         fps: pictures per second [1/s], when the file says.
-        depth_unit_m: metres per unit of depth [m], when the file says.
+        depth_unit_m: meters per unit of depth [m], when the file says.
     """
 
     depth: Intrinsics
@@ -160,6 +160,6 @@ def _optional(path: Path, content: dict[str, Any], name: str) -> float | None:
 
 
 def _depth_scale(path: Path, content: dict[str, Any]) -> float | None:
-    """Return Open3D's `depth_scale`: units per metre."""
+    """Return Open3D's `depth_scale`: units per meter."""
     scale = _optional(path, content, "depth_scale")
     return None if scale is None else 1.0 / scale

@@ -84,7 +84,7 @@ class KinectSource:
         color = None if self._color_track is None else frames.get(self._color_track.number, [])
         origins = {"depth": f"track {depth_track.name}"}
         if self._color_track is not None:
-            origins["colour"] = f"track {self._color_track.name}"
+            origins["color"] = f"track {self._color_track.name}"
         if options.picker_topic or options.picker_frame or options.gripper_topic:
             notes.append("a Kinect recording has no topics: the picker's path is not in it")
         return Streams(
@@ -109,7 +109,7 @@ class KinectSource:
         return None
 
     def _calibration(self, options: ImportOptions) -> StereoCalibration:
-        unit, origin = 1e-3, "the format: millimetres"
+        unit, origin = 1e-3, "the format: millimeters"
         if options.depth_unit_m is not None:
             unit, origin = options.depth_unit_m, "given by --depth-unit-m"
         if options.intrinsics is not None:
@@ -145,15 +145,15 @@ def _color(data: bytes, track: Track) -> Content:
         return packed_color(data)
     if letters not in _RAW_COLOR:
         raise TruncatedError(
-            f"colour of the kind {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}"
+            f"color of the kind {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}"
         )
     share, conversion = _RAW_COLOR[letters]
     width, height = track.width, track.height
     if len(data) != int(share * width * height):
-        raise TruncatedError(f"a colour picture of {len(data)} bytes for {width} x {height} pixels")
+        raise TruncatedError(f"a color picture of {len(data)} bytes for {width} x {height} pixels")
     pixels = np.frombuffer(data, np.uint8)
     shape = (height * 3 // 2, width) if letters == "NV12" else (height, width, int(share))
     try:
         return cv2.cvtColor(pixels.reshape(shape), conversion)
     except (cv2.error, ValueError) as error:
-        raise TruncatedError("a colour picture that cannot be converted") from error
+        raise TruncatedError("a color picture that cannot be converted") from error

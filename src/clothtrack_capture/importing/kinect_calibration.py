@@ -2,7 +2,7 @@
 
 The JSON holds each camera's intrinsics for its full sensor, in shares of the sensor's sides, with
 the first pixel's outer corner at (0, 0). A mode bins and crops the sensor; OpenCV's origin is the
-first pixel's centre. (Modes as in the Azure Kinect Sensor SDK, `mode_specific_calibration.c`.)
+first pixel's center. (Modes as in the Azure Kinect Sensor SDK, `mode_specific_calibration.c`.)
 """
 
 import json
@@ -41,19 +41,19 @@ _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
 def kinect_intrinsics(
     path: Path, text: bytes, depth_size: tuple[int, int], color_size: tuple[int, int] | None
 ) -> tuple[Intrinsics, Intrinsics | None, Float[np.ndarray, "4 4"]]:
-    """Return the lenses of depth and colour and the transform from depth to colour camera [m].
+    """Return the lenses of depth and color and the transform from depth to color camera [m].
 
     Args:
         path: the recording, for errors.
         text: the calibration, JSON.
         depth_size: width and height of the depth pictures [pixels].
-        color_size: width and height of the colour pictures [pixels]; None without colour.
+        color_size: width and height of the color pictures [pixels]; None without color.
 
     Raises:
         InvalidRecordingError: the calibration is damaged or the mode unknown.
     """
     for what, size, modes in (
-        ("depth", depth_size, _DEPTH_MODES), ("colour", color_size, _COLOR_MODES)
+        ("depth", depth_size, _DEPTH_MODES), ("color", color_size, _COLOR_MODES)
     ):  # fmt: skip
         if size is not None and size not in modes:
             known = ", ".join(f"{width} x {height}" for width, height in modes)

@@ -24,11 +24,11 @@ _MOST_FILTER = 4
 
 @dataclass(frozen=True, eq=False)
 class PackedPicture:
-    """A PNG or JPEG of depth or colour that is not decoded yet.
+    """A PNG or JPEG of depth or color that is not decoded yet.
 
     Attributes:
         data: the file.
-        form: bits, colour type and the rest of the header of a PNG that may be taken over.
+        form: bits, color type and the rest of the header of a PNG that may be taken over.
         unpack: decodes it: counts of depth, or red, green and blue.
     """
 
@@ -88,10 +88,10 @@ class PackedPicture:
 
 
 def packed_depth(data: bytes) -> PackedPicture:
-    """Return depth as a 16-bit grey PNG."""
+    """Return depth as a 16-bit gray PNG."""
     return PackedPicture(data, _DEPTH, png_depth)
 
 
 def packed_color(data: bytes) -> PackedPicture:
-    """Return colour as a PNG or JPEG."""
+    """Return color as a PNG or JPEG."""
     return PackedPicture(data, _COLOR, compressed_color)

@@ -1,4 +1,4 @@
-"""Which colour picture belongs to which depth picture: the nearest in time, each once."""
+"""Which color picture belongs to which depth picture: the nearest in time, each once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _LONE_TOLERANCE_NS = 20e6
 
 @dataclass(frozen=True)
 class Pair:
-    """A moment: its depth picture and, unless there is no colour at all, its colour picture."""
+    """A moment: its depth picture and, unless there is no color at all, its color picture."""
 
     depth: StreamFrame
     color: StreamFrame | None
@@ -27,8 +27,8 @@ class Pairing:
     Attributes:
         pairs: in order of time, times strictly increasing.
         tolerance_s: how far apart two pictures of a moment may be [s].
-        depth_alone: depth pictures without a colour picture near enough.
-        color_alone: colour pictures without a depth picture.
+        depth_alone: depth pictures without a color picture near enough.
+        color_alone: color pictures without a depth picture.
         doubles: depth pictures with the time of another.
         worst_s: the largest difference between two pictures of a moment [s].
         advice: the tolerance that would take more pictures in, and how many; "" when none would.
@@ -49,14 +49,14 @@ def pair(
     color: Sequence[StreamFrame] | None,
     tolerance_s: float | None,
 ) -> Pairing:
-    """Pair depth and colour by time stamp.
+    """Pair depth and color by time stamp.
 
     A pair is one of pictures that are each other's nearest and no farther apart than the tolerance.
 
     Args:
         path: the source, for errors.
         depth: depth pictures in any order.
-        color: colour pictures in any order, or None when there is no colour stream.
+        color: color pictures in any order, or None when there is no color stream.
         tolerance_s: largest difference [s]; half the time between depth pictures by default.
 
     Raises:
@@ -78,7 +78,7 @@ def pair(
         return Pairing(pairs, tolerance / 1e9, 0, 0, doubles, 0.0)
     if not color:
         raise InvalidRecordingError(
-            f"{path}: not one whole colour picture; give --without-color to import depth alone"
+            f"{path}: not one whole color picture; give --without-color to import depth alone"
         )
     others = sorted(color, key=lambda frame: frame.time_ns)
     other_times = np.array([frame.time_ns for frame in others])
@@ -89,7 +89,7 @@ def pair(
     advice = _advice(apart[mutual & (apart > tolerance)])
     if not len(chosen):
         raise InvalidRecordingError(
-            f"{path}: no colour picture within {tolerance / 1e6:.1f} ms of a depth picture; the "
+            f"{path}: no color picture within {tolerance / 1e6:.1f} ms of a depth picture; the "
             f"nearest is {apart.min() / 1e6:.1f} ms away; give {advice}, or --without-color"
         )
     return Pairing(

@@ -136,7 +136,7 @@ def read_path_table(path: Path) -> dict[str, PickerPath]:
     """Return the path per picker of a CSV file; times as the file has them.
 
     The columns are those of `picker.csv`, or `time, x, y, z` and perhaps `closed`, in any order,
-    seconds and metres.
+    seconds and meters.
 
     Raises:
         InvalidRecordingError: the file cannot be read, a column is missing or a field no number.

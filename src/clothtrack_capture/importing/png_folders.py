@@ -38,7 +38,7 @@ def is_picture_folder(path: Path) -> bool:
 
 
 class FolderSource:
-    """A folder with depth pictures, perhaps colour pictures, and what says how to read them."""
+    """A folder with depth pictures, perhaps color pictures, and what says how to read them."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         """List the pictures and read intrinsics, unit and times.
@@ -60,7 +60,7 @@ class FolderSource:
             notes.append("a folder has no topics: give the picker's path with --picker-csv")
         origins = {"depth": f"{len(depth)} files"}
         if color is not None:
-            origins["colour"] = f"{len(color)} files"
+            origins["color"] = f"{len(color)} files"
         self.streams = Streams(kind, calibration, depth, color, origins, notes)
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
@@ -173,7 +173,7 @@ class FolderSource:
             wanted.append((f"the intrinsics (looked for {looked_for})", "--intrinsics FILE"))
         known = is_bop or (given is not None and given.depth_unit_m is not None)
         if options.depth_unit_m is None and not known:
-            unit = "--depth-unit-m (0.001 for millimetres, 0.0002 for the data sets of TUM)"
+            unit = "--depth-unit-m (0.001 for millimeters, 0.0002 for the data sets of TUM)"
             wanted.append(("how long a unit of depth is", unit))
         what, options_ = zip(*wanted, strict=True)
         return f"nothing says {' or '.join(what)}; give {' and '.join(options_)}"

@@ -28,7 +28,7 @@ def is_stream(topic: Topic) -> bool:
 
 
 def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
-    """Return metres per unit of depth, from the sensor's option.
+    """Return meters per unit of depth, from the sensor's option.
 
     Args:
         heard: first message per topic that matches `WANTED`.
@@ -51,7 +51,7 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
 def color_from_depth(
     heard: Mapping[str, Any], depth: Topic, color: Topic
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Return a rigid transform, depth camera to colour camera [m]; None when the file does not say.
+    """Return a rigid transform, depth camera to color camera [m]; None when the file does not say.
 
     Raises:
         TruncatedError: what it says is no transform.

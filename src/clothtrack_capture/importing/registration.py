@@ -1,4 +1,4 @@
-"""Depth as the colour camera would have measured it: the same pixel shows the same point."""
+"""Depth as the color camera would have measured it: the same pixel shows the same point."""
 
 import threading
 
@@ -13,9 +13,9 @@ from clothtrack_capture.importing.source import StereoCalibration
 
 
 class Registration:
-    """Takes distortion out of both pictures and carries depth to the colour camera.
+    """Takes distortion out of both pictures and carries depth to the color camera.
 
-    Each depth pixel is painted as the rectangle that it covers there, so that a finer colour
+    Each depth pixel is painted as the rectangle that it covers there, so that a finer color
     picture has no cracks; where several fall on one pixel, the nearest stays. A pixel between the
     rectangles takes one that ends within half a pixel of it: slanted surfaces stay whole, and no
     edge grows over what was measured behind it. What is farther from any depth pixel stays 0.
@@ -53,7 +53,7 @@ class Registration:
         return not self.carried and self._calibration.depth.straight
 
     def keeps_color(self, size: tuple[int, int]) -> bool:
-        """Return whether colour pictures of this width and height pass through.
+        """Return whether color pictures of this width and height pass through.
 
         Raises:
             TruncatedError: they have another size than their intrinsics.
@@ -92,7 +92,7 @@ class Registration:
             return self._painted.astype(np.uint16)
 
     def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-        """Return the colour picture without distortion.
+        """Return the color picture without distortion.
 
         Raises:
             TruncatedError: the picture has another size than its intrinsics.

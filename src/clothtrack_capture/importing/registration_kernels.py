@@ -26,7 +26,7 @@ def _splat_pixel(
 ):
     """Paint one pixel as the rectangle between two opposite corners, carried over at its depth.
 
-    Every pixel centre in the rectangle gets the depth, the nearest wins. Neighbours on a slanted
+    Every pixel center in the rectangle gets the depth, the nearest wins. Neighbors on a slanted
     surface drift apart by a fraction of a pixel: so the rectangle reaches almost half a pixel
     farther on every side, but stands there behind every rectangle that covers the pixel itself.
     """

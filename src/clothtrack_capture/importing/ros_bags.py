@@ -36,7 +36,7 @@ from clothtrack_capture.importing.topics import (
 )
 
 _PART = re.compile(r"\.(db3|mcap|bag)$")
-# Depth in floats is stored in tenths of a millimetre: finer than any sensor, up to 6.5 m.
+# Depth in floats is stored in tenths of a millimeter: finer than any sensor, up to 6.5 m.
 _FLOAT_UNIT_M = 1e-4
 
 
@@ -146,12 +146,12 @@ class BagSource:
         if unit_m is not None and unit_m > 0:
             return unit_m, "the sensor's option Depth Units in the recording"
         if self._encoding.startswith("32fc1"):
-            return _FLOAT_UNIT_M, "encoding 32FC1: metres (REP 118), stored in 0.1 mm"
+            return _FLOAT_UNIT_M, "encoding 32FC1: meters (REP 118), stored in 0.1 mm"
         if self._encoding.startswith("16uc1") and not realsense.is_stream(topic):
-            return 1e-3, "encoding 16UC1: millimetres (REP 118)"
+            return 1e-3, "encoding 16UC1: millimeters (REP 118)"
         raise InvalidRecordingError(
             f"{self._path}: {topic.name} has encoding {self._encoding!r} and nothing says how long "
-            "a unit is; give --depth-unit-m (0.001 for millimetres)"
+            "a unit is; give --depth-unit-m (0.001 for millimeters)"
         )
 
     def _find_intrinsics(self, image: Topic) -> Intrinsics:
@@ -177,7 +177,7 @@ class BagSource:
             _, frame = self._first(depth)
             return self._walk.tree.lookup(there, here, np.array([frame.time_ns]))[0]
         raise TruncatedError(
-            f"depth is in frame {here!r} and colour in frame {there!r}, and no TF ties them"
+            f"depth is in frame {here!r} and color in frame {there!r}, and no TF ties them"
         )
 
     def _frame(self, topic: Topic) -> str:
@@ -189,7 +189,7 @@ class BagSource:
         origins = {"depth": self._depth_topic.name}
         if color is not None:
             self._first(color)
-            origins["colour"] = color.name
+            origins["color"] = color.name
         camera_frame = self._frame(color or self._depth_topic)
         world = None
         if options.world_frame is not None:

@@ -36,9 +36,9 @@ class StereoCalibration:
 
     Attributes:
         depth: intrinsics of the depth pictures.
-        color: intrinsics of the colour pictures, or None without colour.
-        color_from_depth: rigid transform, depth camera to colour camera [m].
-        depth_unit_m: metres per unit of the depth pictures.
+        color: intrinsics of the color pictures, or None without color.
+        color_from_depth: rigid transform, depth camera to color camera [m].
+        depth_unit_m: meters per unit of the depth pictures.
         unit_origin: where the unit comes from, in words.
     """
 
@@ -65,7 +65,7 @@ class Streams:
         kind: the format in words ("ROS 1 bag").
         calibration: intrinsics and unit of depth.
         depth: every whole depth picture.
-        color: every whole colour picture; None without a colour stream.
+        color: every whole color picture; None without a color stream.
         origins: which topic, track or folder each thing came from.
         notes: what was lost or left out, in words.
         paths: where pickers were, in `path_frame`; times [s] count from `path_start_ns`.

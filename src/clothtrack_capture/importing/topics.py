@@ -1,4 +1,4 @@
-"""Which topics of a bag show depth and colour: the usual names first, else the choice is asked."""
+"""Which topics of a bag show depth and color: the usual names first, else the choice is asked."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ from clothtrack_capture.importing.containers import Topic
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-# Best first. Depth that a driver has registered to colour spares our own registration.
+# Best first. Depth that a driver has registered to color spares our own registration.
 _DEPTH = (
     r"aligned_depth_to_color/image(_raw|_rect)?$",
     r"depth_to_(rgb|color)/(hw_registered/)?image(_raw|_rect|_rect_raw)?$",
@@ -57,7 +57,7 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
 def choose_color(
     path: Path, topics: Sequence[Topic], depth: Topic, asked: str | None
 ) -> Topic | None:
-    """Return the topic of colour, or None when there is none.
+    """Return the topic of color, or None when there is none.
 
     Raises:
         InvalidRecordingError: several may be it, or the one asked for is not there.
@@ -74,12 +74,12 @@ def choose_color(
     ]
     if asked is None and not usual:
         return None
-    # A camera's colour is a neighbour of its depth.
+    # A camera's color is a neighbor of its depth.
     shared = max((_shared(topic.name, depth.name) for topic in usual), default=0)
     near = [topic for topic in able if _shared(topic.name, depth.name) >= shared]
     return _choose(
         path, able if asked else near, _COLOR, asked,
-        what="colour", flag="--color-topic", every=topics,
+        what="color", flag="--color-topic", every=topics,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ _HIDDEN_ALPHA = 0.5
 class Ros2Sink:
     """Publishes a mesh for RViz, and its vertices for programs.
 
-    The mesh is a Marker of triangles, colored by the expected error (blue to red, grey where it is
+    The mesh is a Marker of triangles, colored by the expected error (blue to red, gray where it is
     not known), half transparent where no camera sees it. The vertices are a PointCloud2 in their
     order with the fields x, y, z, expected_error_m and visible.
 

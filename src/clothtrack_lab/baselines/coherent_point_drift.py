@@ -70,7 +70,7 @@ class PeerConfig:
         outliers: share of the cloud that is not cloth; 0.1 in CDCPD.
         iterations: most steps of expectation and maximisation per frame.
         modes: of the kernel's low-rank form.
-        neighbours: nearest cloud points that a vertex may correspond to.
+        neighbors: nearest cloud points that a vertex may correspond to.
         start_sigma_m: standard deviation that a frame's registration starts from [m]: how far the
             cloth may move between frames.
         lengths: bounds of an edge, as shares of its length in the first mesh; CDCPD bounds
@@ -86,7 +86,7 @@ class PeerConfig:
     outliers: float = 0.1
     iterations: int = 30
     modes: int = 150
-    neighbours: int = 10
+    neighbors: int = 10
     start_sigma_m: float = 0.01
     lengths: tuple[float, float] = (0.95, 1.0)
     sweeps: int = 20
@@ -145,7 +145,7 @@ def drifted(
     config: PeerConfig,
 ) -> Float[np.ndarray, "vertices 3"]:
     """Vertices [m] after the visible ones drifted coherently to the cloud, the others with them."""
-    if seen.sum() < config.modes or len(cloud) < config.neighbours:
+    if seen.sum() < config.modes or len(cloud) < config.neighbors:
         return vertices
     from biocpd import DeformableRegistration
 
@@ -159,7 +159,7 @@ def drifted(
         alpha=config.alpha,
         beta=1.0,
         w=config.outliers,
-        k=config.neighbours,
+        k=config.neighbors,
         num_eig=config.modes,
         low_rank_method="pivoted_cholesky",
         max_iterations=config.iterations,
@@ -259,10 +259,10 @@ def _pick(
 
 
 class EdgeLengths:
-    """Puts edges right that became too long or short, colour by colour (Gauss-Seidel)."""
+    """Puts edges right that became too long or short, color by color (Gauss-Seidel)."""
 
     def __init__(self, mesh: ClothMesh) -> None:
-        """Take the rest lengths from the first mesh, and colour its edges."""
+        """Take the rest lengths from the first mesh, and color its edges."""
         self._edges = np.asarray(mesh.edges)
         self._rest = np.asarray(mesh.edge_lengths, np.float64)
         self._colors = _edge_colors(self._edges, len(mesh.vertices))

@@ -20,13 +20,13 @@ _INFLATION = 0.12
 
 @dataclass(frozen=True)
 class CanonicalFrame:
-    """How canonical coordinates in metres map to the unit cube, for one category.
+    """How canonical coordinates in meters map to the unit cube, for one category.
 
     The origin becomes the middle of the cube.
 
     Attributes:
         kind: the category.
-        scale: edges of the cube per metre [1/m].
+        scale: edges of the cube per meter [1/m].
         half_m: half extent along each axis of the largest garment of the category [m].
     """
 
@@ -38,7 +38,7 @@ class CanonicalFrame:
         """Canonical positions [m] in the unit cube."""
         return points * self.scale + 0.5
 
-    def to_metres(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+    def to_meters(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
         """Positions in the unit cube as canonical positions [m]."""
         return (points - 0.5) / self.scale
 
@@ -101,7 +101,7 @@ def check_canonical(canonical: Float[np.ndarray, "vertices 3"], kind: str) -> No
         half_m = 0.5 / canonical_frame(kind).scale
         raise InvalidConfigError(
             f"the canonical pose of the {kind} reaches {reach / 0.5 * half_m:.2f} m from the "
-            f"origin, its cube {half_m:.2f} m; give canonical coordinates in metres about the "
+            f"origin, its cube {half_m:.2f} m; give canonical coordinates in meters about the "
             "origin, or a smaller garment"
         )
     extent = np.ptp(canonical, axis=0)

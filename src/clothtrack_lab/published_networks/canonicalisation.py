@@ -120,8 +120,8 @@ class Canonicaliser(nn.Module):
         size = self.config.output_size
         if (height, width) == (size, size):
             return lines[picture, row, column]
-        above, below, down = _neighbours(row, height / size, height)
-        left, right, across = _neighbours(column, width / size, width)
+        above, below, down = _neighbors(row, height / size, height)
+        left, right, across = _neighbors(column, width / size, width)
         down, across = down.to(lines.dtype)[:, None], across.to(lines.dtype)[:, None]
         top = torch.lerp(lines[picture, above, left], lines[picture, above, right], across)
         bottom = torch.lerp(lines[picture, below, left], lines[picture, below, right], across)
@@ -131,7 +131,7 @@ class Canonicaliser(nn.Module):
 def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
     """Silhouette, height over the cloth's mean (in `_RELIEF_M`), and that mean depth [m].
 
-    Wrinkles of millimetres on a distance of a metre are lost on a young network; the mean depth,
+    Wrinkles of millimeters on a distance of a meter are lost on a young network; the mean depth,
     which says how large the cloth is, is kept.
     """
     cloth = (depth > 0).to(depth.dtype)
@@ -193,7 +193,7 @@ def symmetry_losses(
         logits: of the bins of each axis.
         targets: true coordinates in the unit cube.
         image_of_pixel: which picture a pixel belongs to.
-        symmetries: signs about the centre (`canonical_frame.symmetries`).
+        symmetries: signs about the center (`canonical_frame.symmetries`).
         images: number of pictures.
     """
     log_probability = logits.float().log_softmax(dim=-1)
@@ -222,7 +222,7 @@ def canonical_loss(
         logits: of the bins of each axis.
         targets: true coordinates in the unit cube.
         image_of_pixel: which picture a pixel belongs to.
-        symmetries: signs about the centre (`canonical_frame.symmetries`).
+        symmetries: signs about the center (`canonical_frame.symmetries`).
         images: how many pictures; one without pixels is left out.
     """
     losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, images)
@@ -230,7 +230,7 @@ def canonical_loss(
     return (losses.amin(dim=1) * shown).sum() / shown.sum().clamp(min=1)
 
 
-def _neighbours(place: Tensor, scale: float, size: int) -> tuple[Tensor, Tensor, Tensor]:
+def _neighbors(place: Tensor, scale: float, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """The two coarse pixels around a fine one, and how far along from the first to the second."""
     at = ((place + 0.5) * scale - 0.5).clamp(0.0, size - 1.0)
     low = at.floor()

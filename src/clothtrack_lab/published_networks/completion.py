@@ -89,7 +89,7 @@ def in_box(unit: Float[Tensor, "*points 3"], config: NetworkConfig) -> Float[Ten
 def sample(
     volume: Float[Tensor, "batch channels x y z"], queries: Float[Tensor, "batch queries 3"]
 ) -> Float[Tensor, "batch queries channels"]:
-    """A volume at places of its box: linear between the centres of its cells.
+    """A volume at places of its box: linear between the centers of its cells.
 
     Args:
         volume: axes x, y, z.

@@ -41,8 +41,8 @@ class NetworkConfig:
         view_margin: free border around the cloth, as a share of its longer side.
         least_view_m: shortest side of the square that the picture shows [m]: a bunched cloth is
             not magnified further.
-        depth_channels: 1 feeds metres as they are (MEDOR); 3 feeds the silhouette, the height over
-            the cloth's mean and that mean depth, which shows millimetres to a young network.
+        depth_channels: 1 feeds meters as they are (MEDOR); 3 feeds the silhouette, the height over
+            the cloth's mean and that mean depth, which shows millimeters to a young network.
         encoder: "unet", or "hrnet_w32" (arXiv 1908.07919) as MEDOR.
         widths: channels of the encoder at each resolution, halved from one to the next.
         decoder_width: channels of the feature of a pixel that the "unet" hands on.

@@ -23,7 +23,7 @@ class ObservedPictures(NamedTuple):
 
     Attributes:
         points: of all pictures, as the completion takes them.
-        seen: of each picture, in metres.
+        seen: of each picture, in meters.
         alignments: of each picture, between the world and the canonical frame.
     """
 
@@ -52,7 +52,7 @@ def observe_pictures(
     maps = canonicaliser(depth)
     features = canonicaliser.pixel_features(maps, pixels)
     unit, confidence = coordinates(canonicaliser.logits(maps, pixels), canonicaliser.config.window)
-    canonical = frame.to_metres(unit.double().cpu().numpy())
+    canonical = frame.to_meters(unit.double().cpu().numpy())
     sure = confidence.double().cpu().numpy().prod(axis=1)
     picture = pixels[:, 0].cpu().numpy()
     aligned = np.empty_like(points)

@@ -61,7 +61,7 @@ def without_short_edges(
         The vertices in use and the faces.
     """
     for turn in range(ROUNDS):
-        # An edge that may not collapse stands in the way of its neighbours: let those go first in
+        # An edge that may not collapse stands in the way of its neighbors: let those go first in
         # every second round.
         target, collapsed = _collapse_once(vertices, faces, shortest, -1 if turn % 2 else 1)
         if not collapsed:
@@ -107,9 +107,9 @@ def _collapse_once(
 def _independent(
     edges: Int[np.ndarray, "edges 2"], counts: Int[np.ndarray, " edges"], order: np.ndarray
 ) -> Int[np.ndarray, "chosen 2"]:
-    """Edges, in this order of preference, whose rings of neighbours do not meet.
+    """Edges, in this order of preference, whose rings of neighbors do not meet.
 
-    Only those that satisfy the link condition: the ends share as many neighbours as faces.
+    Only those that satisfy the link condition: the ends share as many neighbors as faces.
     """
     beside: dict[int, set[int]] = {}
     for a, b in edges.tolist():

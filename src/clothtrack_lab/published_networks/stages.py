@@ -136,7 +136,7 @@ class CompletionStage(Stage):
         winding = batch.winding * (signs[..., 2] if self._is_sheet else 1.0)
         found = self.completion.winding(volume, _relabelled(batch.volume, signs))
         surface = _relabelled(batch.surface, signs)
-        wanted = self._aligned_positions(batch, alignments) - self._metres(surface)
+        wanted = self._aligned_positions(batch, alignments) - self._meters(surface)
         moved = self.warp(volume, surface)
         of_winding = ((found - winding) ** 2).mean(dim=1)
         of_warp = (((moved - wanted) / RESIDUAL_M) ** 2).sum(dim=2).mean(dim=1)
@@ -155,7 +155,7 @@ class CompletionStage(Stage):
         errors, fields = [], []
         for signs in self.signs:
             surface = _relabelled(batch.surface, signs)
-            moved = self._metres(surface) + self.warp(volume, surface)
+            moved = self._meters(surface) + self.warp(volume, surface)
             # Alignment is rigid: distances in its frame are those in the world.
             errors.append(1e3 * (moved - positions).norm(dim=2).mean(dim=1))
             winding = batch.winding * (signs[2] if self._is_sheet else 1.0)
@@ -192,7 +192,7 @@ class CompletionStage(Stage):
         ]
         return torch.from_numpy(np.stack(placed)).to(batch.positions)
 
-    def _metres(self, unit: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
+    def _meters(self, unit: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
         """Places in the unit cube as canonical positions [m]."""
         return (unit - 0.5) / self._frame.scale
 

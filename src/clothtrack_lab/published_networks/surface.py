@@ -127,7 +127,7 @@ def extract_surface(
     if len(faces) < _LEAST_FACES:
         return Surface(None, f"no surface: its largest piece has {len(faces)} faces")
     grid = field_grid(frame, config)
-    canonical = frame.to_metres(grid.to_unit(places.astype(np.float64)))
+    canonical = frame.to_meters(grid.to_unit(places.astype(np.float64)))
     vertices, faces = compact(canonical, faces)
     shortest = config.short_edge / ((grid.per_edge - 1) * frame.scale)
     if len(vertices) > config.surface_vertices:

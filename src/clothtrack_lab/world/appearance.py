@@ -1,6 +1,6 @@
-"""The stand-in camera's colours: woven cloth, a wooden table, a grey tool.
+"""The stand-in camera's colors: woven cloth, a wooden table, a gray tool.
 
-Only meant to look plausible and to be told apart by colour; depth does not depend on it.
+Only meant to look plausible and to be told apart by color; depth does not depend on it.
 """
 
 import zlib
@@ -18,14 +18,14 @@ CLOTH_COLORS: dict[str, tuple[int, int, int]] = {
     "green": (28, 138, 66),
     "purple": (122, 48, 160),
 }
-"""Cloth colours by name (8-bit sRGB), all far from wood and from grey."""
+"""Cloth colors by name (8-bit sRGB), all far from wood and from gray."""
 
 TIP_COLORS: dict[str, tuple[int, int, int]] = {
     "pink": (232, 40, 150),
     "cyan": (20, 186, 204),
     "yellow": (240, 214, 40),
 }
-"""Colours of a marked tip by name, far from wood, from grey and from every cloth."""
+"""Colors of a marked tip by name, far from wood, from gray and from every cloth."""
 
 _WOOD_COLOR = (200, 166, 124)
 _TOOL_COLOR = (118, 121, 126)
@@ -37,21 +37,21 @@ _PRINT_CONTRAST = 0.35
 """How much lighter or darker a print is at most, as a share of the brightness. It has the cloth's
 own hue, so that the same pixels are found to be cloth."""
 _GRAIN = 3.0
-"""Noise of the pictures of a printed cloth [grey values, 0 to 255]: one standard deviation."""
+"""Noise of the pictures of a printed cloth [gray values, 0 to 255]: one standard deviation."""
 _LIGHT = np.array([-0.45, 0.55, 0.70]) / np.linalg.norm([-0.45, 0.55, 0.70])
 """Direction from the table to the lamp."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """Colours of a scene.
+    """Colors of a scene.
 
     Attributes:
-        cloth: name of the cloth's colour, a key of `CLOTH_COLORS`.
+        cloth: name of the cloth's color, a key of `CLOTH_COLORS`.
         weave: strength of the woven pattern, as a share of the brightness.
         weave_period_m: width of a pair of its stripes [m].
         table_seed: grows the wood.
-        tip: name of the colour of the tool's tip, a key of `TIP_COLORS`; grey as the rest of the
+        tip: name of the color of the tool's tip, a key of `TIP_COLORS`; gray as the rest of the
             tool when None.
         print_seed: grows a print on the cloth, whose pictures then have noise as well (`_GRAIN`);
             None leaves the cloth plain and the pictures clean.
@@ -66,7 +66,7 @@ class Appearance:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Appearance":
-        """Return one of the named colours, a weave and a table."""
+        """Return one of the named colors, a weave and a table."""
         return cls(
             cloth=str(rng.choice(list(CLOTH_COLORS))),
             weave=float(rng.uniform(0.04, 0.12)),
@@ -87,7 +87,7 @@ class Painter:
         self._wood = wood.reshape(table_points.shape).astype(np.float32)
 
     def paint(self, view: View) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the shaded colour picture of a view, red first.
+        """Return the shaded color picture of a view, red first.
 
         Light is diffuse, from one lamp; the cloth darkens the table around it, and folds are
         darker where higher cloth stands beside them.
@@ -118,7 +118,7 @@ class Painter:
 def _weave(
     material: Float[np.ndarray, "pixels 3"], appearance: Appearance
 ) -> Float[np.ndarray, "pixels 3"]:
-    """Return the unlit colour (0 to 255) of the cloth: a plaid that is fixed to the material."""
+    """Return the unlit color (0 to 255) of the cloth: a plaid that is fixed to the material."""
     wave = np.cos(2.0 * np.pi * material[:, :2] / appearance.weave_period_m).sum(axis=1)
     plaid = 1.0 + 0.5 * appearance.weave * wave
     if appearance.print_seed is not None:
@@ -145,7 +145,7 @@ def _grain(view: View, seed: int) -> Float[np.ndarray, "height width 3"]:
 
 
 def _wood(points: Float[np.ndarray, "pixels 3"], seed: int) -> Float[np.ndarray, "pixels 3"]:
-    """Return the unlit colour (0 to 255) of the table: planks along x with a wavy grain."""
+    """Return the unlit color (0 to 255) of the table: planks along x with a wavy grain."""
     rng = np.random.default_rng(seed)
     x, y = points[:, 0], points[:, 1] + rng.uniform(0.0, _PLANK_M)
     bend = 0.012 * np.sin(7.0 * x + rng.uniform(0.0, 6.0)) + 0.005 * np.sin(19.0 * x + 40.0 * y)

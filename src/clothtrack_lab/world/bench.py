@@ -57,7 +57,7 @@ class Ranges:
         young_pa: Young's modulus [Pa].
         poisson: Poisson's ratio.
         thickness_m: thickness of the elastic shell [m]; with `young_pa` it makes the bending
-            stiffness, 0.1 to 1.7 micronewton metres.
+            stiffness, 0.1 to 1.7 micronewton meters.
         area_density: mass per area [kg/m^2].
         contact_radius_m: half the distance that layers keep [m]: half the cloth's thickness.
         table_friction: Coulomb coefficient between cloth and table.
@@ -168,7 +168,7 @@ def _all() -> Iterator[BenchTrajectory]:
 def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeConfig:
     """Return what is filmed, and how: every value drawn from its range.
 
-    Colours, the pose of the garment, the actions and the direction of the camera's tilt are drawn
+    Colors, the pose of the garment, the actions and the direction of the camera's tilt are drawn
     from the same seed while it is filmed.
     """
     ranges = ranges or Ranges()

@@ -73,7 +73,7 @@ class EpisodeConfig(Checked):
             that it always comes from.
         calibration_error_m: how far [m] the recording says the camera is from where it is, in a
             random direction.
-        printed: the cloth has a print and the colour pictures have noise. Nothing else depends on
+        printed: the cloth has a print and the color pictures have noise. Nothing else depends on
             it: depth and motion are those of the plain cloth.
         slips: share of carries in which a recording's cloth slips out of the gripper, somewhere
             between a fifth and four fifths of the way; the recorded path says nothing of it.
@@ -129,7 +129,7 @@ def simulate_trajectory(
         garment: what is filmed, in place of one that is cut for this seed; its size is that of the
             configuration.
         name: of the recording; `KIND_SEED` by default.
-        tip_color: of a marked tip, a key of `TIP_COLORS`; the tool is grey all over by default.
+        tip_color: of a marked tip, a key of `TIP_COLORS`; the tool is gray all over by default.
             Nothing else depends on it.
 
     Returns:

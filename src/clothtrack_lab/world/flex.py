@@ -22,7 +22,7 @@ _GRASP_TIME_CONSTANT_S = 2.0 * TIME_STEP_S
 
 _GRASP_IMPEDANCE = "0.99 0.999 0.001"
 """Hardness of a grasp (MuJoCo's solimp); its default lets a vertex of some milligrams trail the
-tip by centimetres when the whole cloth is dragged."""
+tip by centimeters when the whole cloth is dragged."""
 _PARKED_M = (0.0, 0.0, 5.0)
 USUAL_CONTACT_S = 0.02
 """Time constant of a contact between two layers [s]: MuJoCo's default."""
@@ -35,7 +35,7 @@ class Fabric:
     """What a cloth is made of, and what it lies on.
 
     Attributes:
-        young_pa: Young's modulus [Pa]; 4e4 at half a millimetre hangs like a cotton shirt.
+        young_pa: Young's modulus [Pa]; 4e4 at half a millimeter hangs like a cotton shirt.
         poisson: Poisson's ratio.
         thickness_m: thickness of the elastic shell [m]; bending stiffness grows with its cube.
         area_density: mass per area [kg/m^2].

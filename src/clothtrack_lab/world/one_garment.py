@@ -2,7 +2,7 @@
 
 The paper's reason to fine-tune is a garment that the network has never seen. Everything that stays
 with such a garment is drawn here, from one seed: cut, size, fabric, its mesh in the world, and the
-camera, tool and speeds of the table that it lies on. Poses, starts, actions, colours and noise are
+camera, tool and speeds of the table that it lies on. Poses, starts, actions, colors and noise are
 drawn from the seed of the recording or the episode, as always.
 
 Sizes fit the published network's canonical cube, beyond the sizes that it was trained on; cuts lie

@@ -22,7 +22,7 @@ class Picture:
     """One moment as the camera saw it.
 
     Attributes:
-        color: colour picture, red first.
+        color: color picture, red first.
         depth: distance along the optical axis [m]; 0 where nothing was measured.
         hidden_share: share of the cloth's picture that the tool is in front of.
         missing_share: share of the rest of it that has no depth.
@@ -79,7 +79,7 @@ class Sensor:
         Args:
             scene: cloth, tool and camera.
             config: how badly the camera measures.
-            appearance: colours of cloth, table and tool.
+            appearance: colors of cloth, table and tool.
             seed: of the noise.
         """
         self._scene = scene

@@ -84,7 +84,7 @@ class SimulatedRobot:
     Attributes:
         kind: the garment.
         config: the robot.
-        cloth: what a person at the table knows of the cloth: kind, colour and size.
+        cloth: what a person at the table knows of the cloth: kind, color and size.
         table: z = 0.
     """
 

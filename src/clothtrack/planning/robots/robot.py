@@ -1,4 +1,4 @@
-"""The robot as planning sees it: four methods, positions in metres in the world frame."""
+"""The robot as planning sees it: four methods, positions in meters in the world frame."""
 
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
@@ -19,7 +19,7 @@ class RgbdFrame:
         time_s: when it was taken, on the robot's clock [s].
         camera: that took it: intrinsics and pose in the world.
         depth_m: measured depth [m]; 0 where nothing was measured.
-        color: colour picture, red first; None without one.
+        color: color picture, red first; None without one.
     """
 
     time_s: float

@@ -17,7 +17,7 @@ EMPTY_PIXEL = 2**63 - 1
 """What a pixel holds that no face covers."""
 
 _SEAM_PIXELS = 1e-3
-"""A pixel centre on an edge belongs to both faces: so much of a pixel closes the seams."""
+"""A pixel center on an edge belongs to both faces: so much of a pixel closes the seams."""
 
 _LOWER_HALF = 2**32 - 1
 _LEVEL = 1e-7
@@ -29,7 +29,7 @@ class Projected:
     """Points in the pictures of their cameras, all pictures one after the other.
 
     Attributes:
-        columns, rows: where they are seen [pixels]; pixel centres at integers.
+        columns, rows: where they are seen [pixels]; pixel centers at integers.
         inverse: 1 over their depth along the optical axis [1/m]; not positive behind the camera.
     """
 

@@ -167,7 +167,7 @@ def _seen_from(
 
 
 def _joined(measured: Measured) -> Int[Tensor, "3 faces"]:
-    """Triangles between neighbouring pixels (`view.py: _joined`), over all pixels of the batch."""
+    """Triangles between neighboring pixels (`view.py: _joined`), over all pixels of the batch."""
     depth, shown = measured.depth, measured.mask
     width = depth.shape[2]
     a, b = (depth[:, :-1, :-1], shown[:, :-1, :-1]), (depth[:, :-1, 1:], shown[:, :-1, 1:])

@@ -19,7 +19,7 @@ FINEST_M, COARSEST_M = 0.002, 0.01
 """Between which a pixel is wide, on the middle of the cloud [m]."""
 
 _SPACINGS = 2.0
-"""Pixels are so many times as wide as nine points in ten have a neighbour near, in plan: few pixels
+"""Pixels are so many times as wide as nine points in ten have a neighbor near, in plan: few pixels
 stay empty then."""
 
 LEAST_POINTS = 16
@@ -27,7 +27,7 @@ LEAST_POINTS = 16
 
 _EDGE = 2
 _ENCLOSED = 5
-"""A pixel with so many measured ones of its eight neighbours is a hole."""
+"""A pixel with so many measured ones of its eight neighbors is a hole."""
 
 
 def cloud_picture(
@@ -36,7 +36,7 @@ def cloud_picture(
     """Depth [m], mask of what was measured, and the camera, straight above the points.
 
     In each pixel the highest point counts. Holes of one pixel are closed by the median of their
-    neighbours; larger ones stay: nobody knows what lies there. Of parts that do not touch, those of
+    neighbors; larger ones stay: nobody knows what lies there. Of parts that do not touch, those of
     less than a quarter of the largest are dropped, as in masks (`main_components`).
 
     Args:
@@ -82,8 +82,8 @@ def _without_holes(depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray
         for x in (-1, 0, 1)
         if (x, y) != (0, 0)
     ]
-    neighbours = np.stack(around, axis=-1)
-    hole = (depth == 0) & (np.isfinite(neighbours).sum(axis=-1) >= _ENCLOSED)
+    neighbors = np.stack(around, axis=-1)
+    hole = (depth == 0) & (np.isfinite(neighbors).sum(axis=-1) >= _ENCLOSED)
     closed = depth.copy()
-    closed[hole] = np.nanmedian(neighbours[hole], axis=-1)
+    closed[hole] = np.nanmedian(neighbors[hole], axis=-1)
     return closed

@@ -34,7 +34,7 @@ FORMAT = "clothtrack-pseudo-labels"
 FORMAT_VERSION = 1
 
 FARTHEST_M = 100.0
-"""Labels hold no larger depth or coordinate [m]: such numbers are no metres."""
+"""Labels hold no larger depth or coordinate [m]: such numbers are no meters."""
 
 _ARRAYS = ("document", "rest_positions", "faces", "canonical")
 _OF_PICTURES = ("depth_m", "faces", "positions")

@@ -35,7 +35,7 @@ class SensorConfig(Checked):
             of the depth, as of a camera that measures whole steps of disparity; 0: none.
         dropout: share of pixels without a measurement on a surface seen from the front.
         grazing_dropout: additional share on a surface seen edge-on.
-        edge_step_m: jump of depth [m] between neighbours that counts as a silhouette.
+        edge_step_m: jump of depth [m] between neighbors that counts as a silhouette.
         edge_dropout: share of silhouette pixels without a measurement.
         edge_mixing: share of the other silhouette pixels that mix both depths.
         patch_dropout: share of the picture without a measurement in connected patches that drift

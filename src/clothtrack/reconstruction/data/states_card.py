@@ -52,7 +52,7 @@ def _counts(shards: list[StateShard], document: Mapping[str, Any]) -> str:
         f"{states} states in {episodes} episodes of {len(shards)} garments "
         f"({min(vertices)} to {max(vertices)} vertices; {100 * low_x:.1f} to {100 * high_x:.1f} cm "
         f"wide, {100 * low_y:.1f} to {100 * high_y:.1f} cm long).{seed}\n"
-        "Positions are in metres, z up, the table at z = 0. Split by `episodes` or by shard, never "
+        "Positions are in meters, z up, the table at z = 0. Split by `episodes` or by shard, never "
         "by state."
     )
 

@@ -15,7 +15,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 
 JUMP_M = 0.02
-"""Neighbouring pixels further apart than this [m] are not joined: one hides what is between."""
+"""Neighboring pixels further apart than this [m] are not joined: one hides what is between."""
 
 LEAST_PIXELS = 16
 """A picture with fewer pixels of cloth [pixels] shows no cloth."""
@@ -113,8 +113,8 @@ def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Ca
     pose[:3, 3] = middle[0], middle[1], low[2] + above_m
     size = config.image_size
     focal = 0.5 * size / np.tan(half_angle)
-    centre = 0.5 * (size - 1)
-    return Camera("above", size, size, focal, focal, centre, centre, pose)
+    center = 0.5 * (size - 1)
+    return Camera("above", size, size, focal, focal, center, center, pose)
 
 
 def crop(
@@ -125,7 +125,7 @@ def crop(
 ) -> CroppedView:
     """The network's picture, from a depth picture of any camera.
 
-    Neighbouring pixels are joined to a surface, which the virtual camera then sees: no holes, and
+    Neighboring pixels are joined to a surface, which the virtual camera then sees: no holes, and
     what the real camera did not see stays empty.
 
     Args:
@@ -136,7 +136,7 @@ def crop(
 
     Raises:
         InvalidRecordingError: when picture, mask and camera differ in size, the depth is not in
-            metres, or there is no cloth in it.
+            meters, or there is no cloth in it.
     """
     # Batches are cropped without Warp (`batch_view.py`), where it may not be installed.
     from clothtrack.geometry.visibility import Rasteriser
@@ -147,7 +147,7 @@ def crop(
     faces = _joined(depth_m, shown)
     if len(faces) == 0:
         raise InvalidRecordingError(
-            f"camera {camera.name!r}: no three neighbouring pixels of cloth have a depth; "
+            f"camera {camera.name!r}: no three neighboring pixels of cloth have a depth; "
             "the depth picture is too sparse or its mask is wrong"
         )
     depth = Rasteriser(faces, above).render(points).depth
@@ -216,7 +216,7 @@ def _cloth_shown(
     if not 0.05 < typical < 20.0:
         raise InvalidRecordingError(
             f"{where}: the cloth is {typical:.4g} m away (allowed 0.05 to 20 m); "
-            "is the depth in millimetres? Give the unit of a pixel in metres"
+            "is the depth in millimeters? Give the unit of a pixel in meters"
         )
     return shown
 
@@ -224,7 +224,7 @@ def _cloth_shown(
 def _joined(
     depth_m: Float[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
 ) -> Int[np.ndarray, "faces 3"]:
-    """Triangles between neighbouring pixels, over the shown pixels in the order of their rows."""
+    """Triangles between neighboring pixels, over the shown pixels in the order of their rows."""
     index = np.cumsum(shown.ravel()).reshape(shown.shape) - 1
     a, b = (slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None))
     c, d = (slice(1, None), slice(None, -1)), (slice(1, None), slice(1, None))

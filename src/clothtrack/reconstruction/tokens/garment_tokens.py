@@ -1,7 +1,7 @@
 """A garment as the token network is told it: points of its own rest mesh.
 
 Every token is a material point. Vertices and pixels are shares of the tokens around them, so that
-one set of tokens says what a pixel shows and where a vertex is. Neighbours are neighbours through
+one set of tokens says what a pixel shows and where a vertex is. Neighbors are neighbors through
 the cloth, never across the gap between a sleeve and the body.
 """
 
@@ -26,7 +26,7 @@ TOKENS = 256
 SHARES = 4
 """Tokens that a material point of one layer is a share of."""
 
-NEIGHBOURS = 8
+NEIGHBORS = 8
 """Tokens around a token over which the place of a pixel is averaged."""
 
 FEATURES = 7
@@ -35,7 +35,7 @@ FEATURES = 7
 _RECTANGLE_FILL = 0.97
 _PANEL = 1e-6
 _REGULAR = 0.02
-_CENTRED = 1e3
+_CENTERD = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class GarmentTokens:
         labellings: each token's name under each look-alike labelling; the first changes nothing.
         is_labelling: which of the rows are labellings; the others fill up.
         mirror: each token's name in the mirror image of the garment.
-        neighbours: the nearest tokens of each through the cloth, itself first.
+        neighbors: the nearest tokens of each through the cloth, itself first.
         layers: 1 or 2.
     """
 
@@ -66,7 +66,7 @@ class GarmentTokens:
     labellings: Int[np.ndarray, "labellings tokens"]
     is_labelling: Bool[np.ndarray, " labellings"]
     mirror: Int[np.ndarray, " tokens"]
-    neighbours: Int[np.ndarray, "tokens neighbours"]
+    neighbors: Int[np.ndarray, "tokens neighbors"]
     layers: int
 
     @classmethod
@@ -96,13 +96,13 @@ class GarmentTokens:
             blend=blend,
             vertex_tokens=tokens,
             vertex_shares=shares.astype(np.float32),
-            neighbours=near,
+            neighbors=near,
         )
 
     def stretched(self, mesh: ClothMesh) -> "GarmentTokens":
         """The same tokens in the same garment that is stretched along x and y, both a little.
 
-        Each vertex keeps its shares of the tokens, and each token its neighbours.
+        Each vertex keeps its shares of the tokens, and each token its neighbors.
 
         Args:
             mesh: the garment as `of` takes it, with the same triangles.
@@ -280,13 +280,13 @@ def _shares(
     sides: Float[np.ndarray, " tokens"],
     corners: Int[np.ndarray, "tokens 3"],
 ) -> tuple[
-    Int[np.ndarray, "tokens neighbours"],
+    Int[np.ndarray, "tokens neighbors"],
     Int[np.ndarray, "vertices shares"],
     Float[np.ndarray, "vertices shares"],
 ]:
-    """Neighbours of tokens, and tokens and shares of vertices; a seam has shares of both layers."""
+    """Neighbors of tokens, and tokens and shares of vertices; a seam has shares of both layers."""
     flat, layers, count = mesh.flat, np.unique(sides), len(mesh.flat)
-    near = np.zeros((len(places), NEIGHBOURS), np.int64)
+    near = np.zeros((len(places), NEIGHBORS), np.int64)
     # As wide for one layer as for two: garments of both kinds share a batch.
     tokens = np.zeros((count, 2 * SHARES), np.int64)
     shares = np.zeros((count, 2 * SHARES))
@@ -302,7 +302,7 @@ def _shares(
             tokens[vertex, columns] = own[candidates[best]]
             shares[vertex, columns] = weights[best] / weights[best].sum()
         between = apart[:, count:]
-        near[own] = own[np.argsort(between, axis=0, kind="stable")[:NEIGHBOURS].T]
+        near[own] = own[np.argsort(between, axis=0, kind="stable")[:NEIGHBORS].T]
     return near, tokens, shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
 
 
@@ -336,10 +336,10 @@ def _convex(
     distance = np.linalg.norm(away, axis=1)
     unit = distance.max() + 1e-12
     rows = np.vstack(
-        [away.T / unit, _REGULAR**0.5 * np.diag(distance / unit), _CENTRED * np.ones(len(around))]
+        [away.T / unit, _REGULAR**0.5 * np.diag(distance / unit), _CENTERD * np.ones(len(around))]
     )
     right = np.zeros(len(rows))
-    right[-1] = _CENTRED
+    right[-1] = _CENTERD
     weights, _ = nnls(rows, right)
     return weights / weights.sum()
 

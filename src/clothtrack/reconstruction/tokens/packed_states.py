@@ -53,7 +53,7 @@ class PackedStates:
         vertices, faces: how many each garment has.
         corners: vertices of all faces of all garments; `GarmentTokens` has the rest.
         vertex_tokens, vertex_shares: of all vertices of all garments.
-        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbours: of the
+        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbors: of the
             tokens; the corners are those of the face that a token lies on.
         size_m, layers: of each garment.
         digest: the first 8 hexadecimal digits of each garment's digest, as a number.
@@ -75,7 +75,7 @@ class PackedStates:
     labellings: UInt8[Tensor, "garments labellings tokens"]
     is_labelling: Bool[Tensor, "garments labellings"]
     mirror: UInt8[Tensor, "garments tokens"]
-    neighbours: UInt8[Tensor, "garments tokens neighbours"]
+    neighbors: UInt8[Tensor, "garments tokens neighbors"]
     size_m: Float[Tensor, " garments"]
     layers: Int[Tensor, " garments"]
     digest: Int[Tensor, " garments"]
@@ -130,7 +130,7 @@ class PackedStates:
             "labellings": garment.labellings.astype(np.uint8)[None],
             "is_labelling": garment.is_labelling[None],
             "mirror": garment.mirror.astype(np.uint8)[None],
-            "neighbours": garment.neighbours.astype(np.uint8)[None],
+            "neighbors": garment.neighbors.astype(np.uint8)[None],
             "size_m": np.array([garment.size_m], np.float32),
             "layers": np.array([garment.layers], np.int32),
             "digest": np.array([int(digest[:8], 16)]),

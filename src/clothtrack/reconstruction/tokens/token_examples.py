@@ -231,7 +231,7 @@ def token_example(
         places=places.astype(np.float32),
         labellings=garment.labellings,
         is_labelling=garment.is_labelling,
-        neighbours=garment.neighbours,
+        neighbors=garment.neighbors,
         conventional=_conventional(places, garment),
         size_m=size_m,
     )

@@ -173,7 +173,7 @@ class _Garments:
         positions: vertices in the world [m]; those of a smaller garment come again.
         faces: vertices of each face, by corner; those that only fill up are vertex 0.
         first: where the vertices of each garment begin in the pack.
-        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbours, size_m,
+        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbors, size_m,
             layers: as in `PackedStates`.
     """
 
@@ -186,7 +186,7 @@ class _Garments:
     labellings: Int[Tensor, "batch labellings tokens"]
     is_labelling: Bool[Tensor, "batch labellings"]
     mirror: Int[Tensor, "batch tokens"]
-    neighbours: Int[Tensor, "batch tokens neighbours"]
+    neighbors: Int[Tensor, "batch tokens neighbors"]
     size_m: Float[Tensor, " batch"]
     layers: Int[Tensor, " batch"]
 
@@ -228,7 +228,7 @@ class _Garments:
         return (at * self.token_blend[..., None]).sum(2)
 
 
-_INDICES = ("token_corners", "labellings", "mirror", "neighbours", "layers")
+_INDICES = ("token_corners", "labellings", "mirror", "neighbors", "layers")
 _OF_GARMENTS = (*_INDICES, "features", "token_blend", "is_labelling", "size_m")
 
 
@@ -303,7 +303,7 @@ def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
         places=places,
         labellings=garments.labellings,
         is_labelling=garments.is_labelling,
-        neighbours=garments.neighbours,
+        neighbors=garments.neighbors,
         conventional=_conventional(places, garments),
         size_m=seen.size_m,
         weight=seen.is_cloth.any().float().expand(count),

@@ -295,24 +295,24 @@ class _Views:
         """Mean share of the likeliest name, per view."""
         return self.names.max(-1).values.mean(-1).tolist()
 
-    def _alike(self, centre: "_Member") -> tuple["_Member", ...]:
+    def _alike(self, center: "_Member") -> tuple["_Member", ...]:
         """The hypotheses whose places are those of one, whatever they are called; one per view."""
-        apart = self._apart(centre, self.places).min(axis=-1)
+        apart = self._apart(center, self.places).min(axis=-1)
         return tuple(
             (view, int(gaps.argmin())) for view, gaps in enumerate(apart) if gaps.min() < _ALIKE
         )
 
-    def _named_as(self, centre: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
+    def _named_as(self, center: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
         """The labelling of a hypothesis that is nearest to another's, and their mean distance."""
-        gaps = self._apart(centre, self.places[member])
+        gaps = self._apart(center, self.places[member])
         nearest = int(np.argmin(gaps))
         return self._labellings[nearest], float(gaps[nearest])
 
     def _apart(
-        self, centre: "_Member", places: Float[np.ndarray, "*sets tokens 3"]
+        self, center: "_Member", places: Float[np.ndarray, "*sets tokens 3"]
     ) -> Float[np.ndarray, "*sets labellings"]:
         """Mean distances of places from those of a hypothesis, by each labelling."""
-        moved = places[..., self._labellings, :] - self.places[centre]
+        moved = places[..., self._labellings, :] - self.places[center]
         return np.sqrt(np.square(moved).sum(axis=-1)).mean(axis=-1)
 
     @cached_property
@@ -328,7 +328,7 @@ def _read(
     share: Float[np.ndarray, "asked tokens"], tokens: GarmentTokens
 ) -> tuple[Float[np.ndarray, "asked 3"], Float[np.ndarray, " asked"]]:
     """Canonical positions [m] about the likeliest names, and how likely these are."""
-    around = tokens.neighbours[share.argmax(axis=1)]
+    around = tokens.neighbors[share.argmax(axis=1)]
     near = np.take_along_axis(share, around, axis=1)
     sure = near.sum(axis=1)
     canonical = np.einsum("pn,pnx->px", near, tokens.canonical[around]) / sure[:, None]

@@ -55,7 +55,7 @@ class TokenExample:
         height, distance, features, pixels: as in `TokenInput`.
         pixel_tokens, pixel_shares: the name of each pixel: tokens around what it shows.
         places: of the tokens, in the picture's frame.
-        labellings, is_labelling, neighbours: of the garment (`GarmentTokens`).
+        labellings, is_labelling, neighbors: of the garment (`GarmentTokens`).
         conventional: how much each labelling lies as the flat garment does.
         size_m: the unit of length [m].
         weight: 0 where the picture shows no cloth, otherwise 1.
@@ -70,13 +70,13 @@ class TokenExample:
     places: Float[np.ndarray, "tokens 3"]
     labellings: Int[np.ndarray, "labellings tokens"]
     is_labelling: Bool[np.ndarray, " labellings"]
-    neighbours: Int[np.ndarray, "tokens neighbours"]
+    neighbors: Int[np.ndarray, "tokens neighbors"]
     conventional: Float[np.ndarray, " labellings"]
     size_m: float
     weight: float = 1.0
 
 
-_WHOLE = ("pixels", "pixel_tokens", "labellings", "neighbours")
+_WHOLE = ("pixels", "pixel_tokens", "labellings", "neighbors")
 _BOOLEAN = ("is_labelling",)
 
 
@@ -93,7 +93,7 @@ class TokenBatch:
     places: Tensor
     labellings: Tensor
     is_labelling: Tensor
-    neighbours: Tensor
+    neighbors: Tensor
     conventional: Tensor
     size_m: Tensor
     weight: Tensor
@@ -183,7 +183,7 @@ class TokenStage(Stage):
         best = own.best(batch)
         place = own.places[..., 0].gather(1, best)[:, 0]
         apart = parts.places.amin(-1).masked_fill(~batch.is_labelling, torch.inf)
-        near = batch.neighbours
+        near = batch.neighbors
         answer = output.places[torch.arange(len(likeliest), device=place.device), likeliest]
         lengths = _lengths(answer[..., :3], near).mean((1, 2))
         return {
@@ -230,7 +230,7 @@ def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
     names = loss / shares.sum((1, 2)).clamp(min=1e-6)
     index = name[:, None, :, None].expand(-1, output.places.shape[1], -1, 5)
     guess = output.places[picture].gather(2, index)
-    true, near = batch.places[picture][:, None], batch.neighbours[picture]
+    true, near = batch.places[picture][:, None], batch.neighbors[picture]
     gap = guess[..., :3] - true
     places = gap.square().sum(-1).add(1e-6).sqrt().mean(-1)
     # The mean learns by distance, the measure itself; the spread by Laplace's likelihood.
@@ -250,9 +250,9 @@ def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
 
 
 def _lengths(
-    places: Float[Tensor, "*batch tokens 3"], near: Int[Tensor, "*around tokens neighbours"]
+    places: Float[Tensor, "*batch tokens 3"], near: Int[Tensor, "*around tokens neighbors"]
 ) -> Float[Tensor, "*batch tokens others"]:
-    """Distances of tokens from their nearest neighbours."""
+    """Distances of tokens from their nearest neighbors."""
     count = 5
     index = near[..., 1:count].flatten(-2)[..., None]
     index = index.expand(*places.shape[:-2], index.shape[-2], 3)

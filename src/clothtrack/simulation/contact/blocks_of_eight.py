@@ -1,4 +1,4 @@
-"""Triangles, edges or vertices of one cloth by eights of neighbours, with boxes around them.
+"""Triangles, edges or vertices of one cloth by eights of neighbors, with boxes around them.
 
 Contact asks eight boxes at once what is near (`geometry.boxes`). What is near in the rest shape
 stays near, because it is of one cloth: the order is made once, and a search only fits the boxes.

@@ -32,7 +32,7 @@ EDGES_PER_EDGE = 8
 
 _EIGHT = wp.constant(EIGHT)
 _UNIT = wp.constant(wp.float32(1.0e12))
-_METRES = wp.constant(1.0e-12)
+_METERS = wp.constant(1.0e-12)
 _NEARLY_PARALLEL = wp.constant(0.0025)
 
 
@@ -409,7 +409,7 @@ def add_to_moves(
         active = wanted[6]
         if active == wp.int64(0):
             continue
-        share = _METRES / wp.max(_METRES * float(active), 1.0)
+        share = _METERS / wp.max(_METERS * float(active), 1.0)
         moves[environment, vertex] += share * wp.vec3(
             float(wanted[0]), float(wanted[1]), float(wanted[2])
         )

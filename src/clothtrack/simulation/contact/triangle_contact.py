@@ -234,9 +234,9 @@ class GatheredPush:
 
 
 def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
-    """Return the radius around each triangle's centre within which a vertex may touch it [m].
+    """Return the radius around each triangle's center within which a vertex may touch it [m].
 
-    A barycentric tolerance t widens a triangle by 1 + 3 t about its centre; 5 % more is for
+    A barycentric tolerance t widens a triangle by 1 + 3 t about its center; 5 % more is for
     stretch.
     """
     corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]

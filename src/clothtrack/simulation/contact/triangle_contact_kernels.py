@@ -51,9 +51,9 @@ def fit_triangles(
 
     `planes[eight, k, place]` of one of eight are its first corner (k = 0, 1, 2) [m], its unit
     normal (3, 4, 5) and the gradients of its second (6, 7, 8) and third weight (9, 10, 11) [1/m].
-    A foot whose weights are at least -t lies in the triangle widened by 1 + 3 t about its centre.
+    A foot whose weights are at least -t lies in the triangle widened by 1 + 3 t about its center.
     The weights of a triangle that is hardly one are rounding, and one stretched to many times its
-    size may be touched only near its centre: there planes of zeros refuse nothing, and the box is
+    size may be touched only near its center: there planes of zeros refuse nothing, and the box is
     that of the reach. Some thousandths more, and a millionth of where it is, are for rounding.
     """
     environment, thread = wp.tid()
@@ -76,14 +76,14 @@ def fit_triangles(
             normal = wp.cross(first, second)
             doubled_area = wp.length(normal)
             longest = wp.max(wp.length_sq(first), wp.length_sq(second))
-            centre = (a + b + c) * _THIRD
+            center = (a + b + c) * _THIRD
             unit = wp.vec3(0.0, 0.0, 0.0)
             to_second = unit
             to_third = unit
             box = Box()
-            box.low = centre
-            box.high = centre
-            beyond = 1.0e-6 * wp.abs(centre)
+            box.low = center
+            box.high = center
+            beyond = 1.0e-6 * wp.abs(center)
             square_reach = face_reach[nth(numbers[eight, place])]
             small = longest < 10.0 * square_reach
             if small and doubled_area > 1.0e-3 * (longest + depth * depth):
@@ -91,8 +91,8 @@ def fit_triangles(
                 unit = normal * inverse
                 to_second = wp.cross(second * inverse, unit)
                 to_third = wp.cross(unit, first * inverse)
-                box.low += (1.0 + widening) * (wp.min(wp.min(a, b), c) - centre)
-                box.high += (1.0 + widening) * (wp.max(wp.max(a, b), c) - centre)
+                box.low += (1.0 + widening) * (wp.min(wp.min(a, b), c) - center)
+                box.high += (1.0 + widening) * (wp.max(wp.max(a, b), c) - center)
                 beyond += deep * wp.abs(unit)
             else:
                 reach = (1.0 + _SLACK) * wp.sqrt(square_reach)
@@ -334,19 +334,19 @@ def _in_reach(
 ):
     """Return whether a point is where a triangle that is hardly stretched may be touched.
 
-    That is in a ball around its centre (squared reach [m^2]) and, seen along the normal, in a disc.
+    That is in a ball around its center (squared reach [m^2]) and, seen along the normal, in a disc.
     """
-    centre = (a + b + c) / 3.0
+    center = (a + b + c) / 3.0
     normal = wp.cross(b - a, c - a)
     doubled_area = wp.length(normal)
     farthest = wp.max(
-        wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
+        wp.length_sq(a - center), wp.max(wp.length_sq(b - center), wp.length_sq(c - center))
     )
     widened = 1.001 * (1.0 + 3.0 * tolerance)
     radius = widened * widened * farthest
     if doubled_area < 1.0e-9:
         radius = square_reach  # no plane to look along
-    away = point - centre
+    away = point - center
     square = wp.dot(away, away)
     height = wp.dot(away, normal / (doubled_area + 1.0e-15))
     # Not ">" for the ball: what is not a number must not touch either.
