@@ -1,6 +1,6 @@
-"""Test-time optimisation against the natural implementation: torch and a k-d tree per iteration.
+"""Test-time optimization against the natural implementation: torch and a k-d tree per iteration.
 
-Both minimise the same objective from the same start, in the same run, with one thread; CPU times,
+Both minimize the same objective from the same start, in the same run, with one thread; CPU times,
 medians. Run with `OMP_NUM_THREADS=1`. A ratio above 1 says how many times faster clothtrack is; a
 gap says by how much its final objective lies above the peer's (negative: below).
 
@@ -84,7 +84,7 @@ def peer(
     rest = torch.tensor(mesh.edge_lengths)
     seen, tree = np.flatnonzero(visible), cKDTree(cloud)
     displacement = torch.zeros_like(start, requires_grad=True)
-    optimiser = torch.optim.Adam([displacement], lr=ADAM_STEP_M)
+    optimizer = torch.optim.Adam([displacement], lr=ADAM_STEP_M)
 
     def objective() -> torch.Tensor:
         now = start + displacement
@@ -106,9 +106,9 @@ def peer(
         return loss
 
     for _ in range(config.iterations):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         objective().backward()
-        optimiser.step()
+        optimizer.step()
     return float(objective().detach())
 
 

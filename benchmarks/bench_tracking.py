@@ -3,7 +3,7 @@
 A 42-step fold of a two-layer T-shirt (2.1 s at 20 Hz; see staged_fold.py) goes through the same
 `Tracker` as any recording: default mode, no calibration, clouds from the pictures on disk. CPU
 time of the process, median over repeats, split into predict (dynamics), observe (read, segment,
-thin), align (visibility and test-time optimisation), correct (dynamics with the correction) and the
+thin), align (visibility and test-time optimization), correct (dynamics with the correction) and the
 rest (first state, final alignment, visibility of the result). Run with `OMP_NUM_THREADS=1`.
 
     python benchmarks/bench_tracking.py --json out/bench_tracking.json [--quick]

@@ -34,7 +34,7 @@ GROUPS = {"visible": OUTSIDE, "hidden": HIDDEN, "swapped": INSIDE}
 METHOD_NAMES = {
     "paper": "paper",
     "no_pseudo_action": "no pseudo-action",
-    "no_dynamics_initialisation": "no dyn. init",
+    "no_dynamics_initialization": "no dyn. init",
     "no_action_conditioning": "no action",
     "no_final_alignment": "no TTO2",
     "open_loop": "open loop",

@@ -128,8 +128,8 @@ def _curve_panel(axis: Any, rows: Sequence[Row]) -> None:
         )  # fmt: skip
     axis.axhline(0.0, color=INK, linewidth=0.5)
     axis.set(
-        title="Mean normalised improvement after each action (number of episodes)",
-        xlabel="action", ylabel="normalised improvement",
+        title="Mean normalized improvement after each action (number of episodes)",
+        xlabel="action", ylabel="normalized improvement",
     )  # fmt: skip
     axis.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 

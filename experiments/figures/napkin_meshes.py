@@ -4,7 +4,7 @@
     python experiments napkin_meshes --data DIR --rows OUT --image FILE
 
 Ten of the judged pictures, evenly taken: the mesh before, the mesh after, the tracker's mesh. The
-measured clouds are not in it: their makers gave no licence.
+measured clouds are not in it: their makers gave no license.
 """
 
 import argparse

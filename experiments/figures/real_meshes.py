@@ -3,7 +3,7 @@
     python experiments real_pictures --data DIR --json OUT/real.json --keep OUT
     python experiments real_meshes --judged OUT/real.json --keep OUT --image FILE
 
-The pictures themselves are not in it: their makers gave no licence. Each mesh is seen from where
+The pictures themselves are not in it: their makers gave no license. Each mesh is seen from where
 its camera was, straight above, shaded from the side.
 """
 

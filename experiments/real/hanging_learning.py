@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from shared.bench_measures import Row
 
 from clothtrack.evaluation import chamfer_surface, material_map, material_points
-from clothtrack.geometry import Camera, ClothMesh, Rasteriser, crossings, edge_strain
+from clothtrack.geometry import Camera, ClothMesh, Rasterizer, crossings, edge_strain
 from clothtrack.reconstruction import DepthInput
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
-    LabelledRecording,
+    LabeledRecording,
     cloth_picture,
     projected_faces,
 )
@@ -78,24 +78,24 @@ class HangingFrames:
         depth, mask, camera = self._seen(frame)
         return DepthInput(depth, mask, camera, None, KIND, self.size_m)
 
-    def labelled(self, tracked: TrackedTrajectory) -> LabelledRecording:
-        """Every frame, labelled by the tracker."""
+    def labeled(self, tracked: TrackedTrajectory) -> LabeledRecording:
+        """Every frame, labeled by the tracker."""
         pictures = [
-            self._labelled_picture(self._seen(frame), tracked, frame) for frame in self.frames
+            self._labeled_picture(self._seen(frame), tracked, frame) for frame in self.frames
         ]
         return self._of(self.name, tracked.mesh, list(self.frames), pictures)
 
-    def simulated(self, simulated: TrackedTrajectory) -> LabelledRecording:
+    def simulated(self, simulated: TrackedTrajectory) -> LabeledRecording:
         """The same frames of a simulated cloth, with noise; it has no holes."""
         rng = np.random.default_rng([*self.name.encode()])
         pictures = []
         for frame in self.frames:
             _, _, camera = self._seen(frame)
-            drawn = Rasteriser(simulated.mesh.faces, camera).render(_shown(simulated, frame))
+            drawn = Rasterizer(simulated.mesh.faces, camera).render(_shown(simulated, frame))
             measured = drawn.depth + rng.normal(0.0, NOISE_M, drawn.depth.shape)
             depth = np.where(np.isfinite(measured), measured, 0.0).astype(np.float32)
             seen = depth, depth > 0, camera
-            pictures.append(self._labelled_picture(seen, simulated, frame))
+            pictures.append(self._labeled_picture(seen, simulated, frame))
         return self._of(f"simulated_{self.name}", simulated.mesh, list(self.frames), pictures)
 
     def tracked_mesh(self, tracked: TrackedTrajectory) -> Ask:
@@ -136,21 +136,21 @@ class HangingFrames:
         depth, mask, camera = cloth_picture(self.recording, self.recording.frames[frame])
         return depth, mask, replace(camera, world_from_camera=LOOKING_DOWN)
 
-    def _labelled_picture(
+    def _labeled_picture(
         self, seen: tuple, tracked: TrackedTrajectory, frame: int
-    ) -> LabelledPicture:
+    ) -> LabeledPicture:
         depth, mask, camera = seen
         positions = _shown(tracked, frame)
         faces = projected_faces(depth, mask, camera, positions, tracked.mesh.faces, cut_m=CUT_M)
-        return LabelledPicture(depth, mask, camera, faces, positions)
+        return LabeledPicture(depth, mask, camera, faces, positions)
 
     def _of(
-        self, name: str, mesh: ClothMesh, frames: list[int], pictures: list[LabelledPicture]
-    ) -> LabelledRecording:
+        self, name: str, mesh: ClothMesh, frames: list[int], pictures: list[LabeledPicture]
+    ) -> LabeledRecording:
         # The first mesh tells where the table is; this cloth has none, and hangs over its lowest.
         low = min((float(one.positions[:, 2].min()) for one in pictures), default=0.0)
         flat = np.asarray(mesh.canonical, np.float64) + (0.0, 0.0, low)
-        return LabelledRecording(
+        return LabeledRecording(
             name, KIND, mesh.with_vertices(flat), tuple(frames), tuple(pictures)
         )
 

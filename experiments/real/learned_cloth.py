@@ -10,7 +10,7 @@ from shared.bench_measures import Row
 
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction import DepthInput
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.tracking import TrackedTrajectory
 
 KIND = "towel"
@@ -40,11 +40,11 @@ class Cloth(Protocol):
         """What the network is shown."""
         ...
 
-    def labelled(self, tracked: TrackedTrajectory) -> LabelledRecording:
-        """Every frame, labelled by a tracker."""
+    def labeled(self, tracked: TrackedTrajectory) -> LabeledRecording:
+        """Every frame, labeled by a tracker."""
         ...
 
-    def simulated(self, simulated: TrackedTrajectory) -> LabelledRecording:
+    def simulated(self, simulated: TrackedTrajectory) -> LabeledRecording:
         """The same frames with no real cloth in them: a simulated one, filmed as the real one."""
         ...
 

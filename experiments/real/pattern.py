@@ -29,7 +29,7 @@ class PatternConfig:
             shows the hem and what is behind the cloth.
         search_m: how far from its place a patch is looked for [m]; beyond about 20 mm it may
             lock on the repeat of the print.
-        correlation: a patch matches above this normalised correlation.
+        correlation: a patch matches above this normalized correlation.
     """
 
     texel_m: float = 0.003
@@ -47,7 +47,7 @@ class PatternDrift:
     Attributes:
         center_m: middle of each patch on the flat cloth, from its lowest corner [m].
         slide_m: distance of each patch from its place in the first frame [m].
-        correlation: normalised correlation of each patch at its best place.
+        correlation: normalized correlation of each patch at its best place.
         matched_above: the correlation above which a patch counts as matched.
     """
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.geometry import Camera, ClothMesh, Rasteriser
+from clothtrack.geometry import Camera, ClothMesh, Rasterizer
 from clothtrack.recordings.segmentation import height_picture
 from clothtrack.report.lettering import caption
 from clothtrack.report.palette import PAPER, rgb255
@@ -21,7 +21,7 @@ STICKER_RGB, CORNER_RGB = (30, 200, 30), (255, 40, 40)
 
 def drawn_depth(mesh: ClothMesh, camera: Camera) -> Float[np.ndarray, "height width"]:
     """Depth of the mesh in a camera [m]; 0 where it is not."""
-    depth = Rasteriser(mesh.faces, camera).render(mesh.vertices.astype(np.float64)).depth
+    depth = Rasterizer(mesh.faces, camera).render(mesh.vertices.astype(np.float64)).depth
     return np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)
 
 

@@ -16,12 +16,12 @@ from shared.bench_measures import Row
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import chamfer_surface
-from clothtrack.geometry import ClothMesh, Rasteriser, crossings, distance_to_mesh
+from clothtrack.geometry import ClothMesh, Rasterizer, crossings, distance_to_mesh
 from clothtrack.reconstruction import DepthInput
 from clothtrack.reconstruction.data.cloud_picture import LEAST_POINTS, cloud_picture
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
-    LabelledRecording,
+    LabeledRecording,
     PseudoLabel,
     label_recording,
     projected_faces,
@@ -101,8 +101,8 @@ class Napkin:
             size_m=self.size_m,
         )
 
-    def labelled(self, tracked: TrackedTrajectory) -> LabelledRecording:
-        """Every judged frame, labelled by the tracker."""
+    def labeled(self, tracked: TrackedTrajectory) -> LabeledRecording:
+        """Every judged frame, labeled by the tracker."""
         positions = np.asarray(tracked.positions, np.float64)
         labels = [PseudoLabel(frame, positions[frame]) for frame in self.frames]
         return label_recording(
@@ -110,7 +110,7 @@ class Napkin:
             provenance={"sequence": self.name},
         )  # fmt: skip
 
-    def simulated(self, simulated: TrackedTrajectory) -> LabelledRecording:
+    def simulated(self, simulated: TrackedTrajectory) -> LabeledRecording:
         """The same lift with no real cloth in it: a simulated napkin, filmed and cut as the real.
 
         Both cameras see it, what is under the cut or near the tool is removed, and as many points
@@ -125,9 +125,9 @@ class Napkin:
                 continue
             depth, mask, camera = cloud_picture(points)
             shown = projected_faces(depth, mask, camera, positions[frame], faces, cut_m=CUT_M)
-            pictures.append(LabelledPicture(depth, mask, camera, shown, positions[frame]))
+            pictures.append(LabeledPicture(depth, mask, camera, shown, positions[frame]))
             frames.append(frame)
-        return LabelledRecording(
+        return LabeledRecording(
             f"simulated_{self.name}", KIND, simulated.mesh, tuple(frames), tuple(pictures),
             {"sequence": self.name, "simulated": True},
         )  # fmt: skip
@@ -228,7 +228,7 @@ def _filmed(
 ) -> Float[np.ndarray, "points 3"]:
     clouds = []
     for camera in sequence.cameras:
-        depth = Rasteriser(faces, camera).render(positions).depth
+        depth = Rasterizer(faces, camera).render(positions).depth
         clouds.append(camera.back_project(depth, np.isfinite(depth) & (depth > 0)))
     cloud = np.concatenate(clouds)
     apart = np.linalg.norm(cloud - sequence.gripper[frame], axis=1)

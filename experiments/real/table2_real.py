@@ -13,7 +13,7 @@ are measured after others were learned from, the late, the middle and the early 
 token network alone: the published one knows no cloth so large. `--only` takes one of the sets.
 Recordings, tracked meshes, labels, tuned weights and rows are kept in a folder beside OUT that is
 called like it, so that a second call scores at once. Weights that learned from data without a
-licence are not to be passed on. `--smoke` learns one epoch from drawn clouds; its figures mean
+license are not to be passed on. `--smoke` learns one epoch from drawn clouds; its figures mean
 nothing.
 """
 
@@ -48,7 +48,7 @@ from clothtrack.geometry import quiet_warp
 from clothtrack.reconstruction import load_model
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.data.pseudo_labels import (
-    LabelledRecording,
+    LabeledRecording,
     read_labels,
     write_labels,
 )
@@ -118,7 +118,7 @@ class Plan:
             calibrated=told and self.calibrated,
         )
 
-    def labels(self, name: str) -> list[LabelledRecording]:
+    def labels(self, name: str) -> list[LabeledRecording]:
         """What is learned from, by name; made where it is not kept."""
         if name == JOINED:
             return [*self.labels("default"), *self.labels(CONTROL)]
@@ -127,15 +127,15 @@ class Plan:
             file = self.keep / "labels" / name / f"{cloth.name}.npz"
             if not file.exists():
                 file.parent.mkdir(parents=True, exist_ok=True)
-                write_labels(self._labelled(cloth, name), file)
+                write_labels(self._labeled(cloth, name), file)
             found.append(read_labels(file))
             _progress(f"labels {name}, {cloth.name}: {len(found[-1].pictures)} pictures\n")
         return [one for one in found if one.pictures]
 
-    def _labelled(self, cloth: Cloth, name: str) -> LabelledRecording:
+    def _labeled(self, cloth: Cloth, name: str) -> LabeledRecording:
         if name == CONTROL:
             return cloth.simulated(self.tracked(cloth, UNTUNED))
-        return cloth.labelled(self.tracked(cloth, name))
+        return cloth.labeled(self.tracked(cloth, name))
 
     def all_pictures(self, cloths: Sequence[Cloth], weights: Path | None) -> list[Row]:
         """The rows of several recordings, in their order."""

@@ -53,7 +53,7 @@ def without_pseudo_action(components: Components, base: Assemble) -> Assembled:
     return changed(base(components), align=no_alignment, observe=seen)
 
 
-def without_dynamics_initialisation(components: Components, base: Assemble) -> Assembled:
+def without_dynamics_initialization(components: Components, base: Assemble) -> Assembled:
     """Return an alignment that starts from the last mesh ("No Dyn Init")."""
     assembled = base(components)
     align = assembled.method.align
@@ -81,7 +81,7 @@ def without_final_alignment(components: Components, base: Assemble) -> Assembled
 
 PAPER: Mapping[str, Assemble] = {
     "no_pseudo_action": partial(without_pseudo_action, base=paper),
-    "no_dynamics_initialisation": partial(without_dynamics_initialisation, base=paper),
+    "no_dynamics_initialization": partial(without_dynamics_initialization, base=paper),
     "no_action_conditioning": partial(without_action, base=paper),
     "no_final_alignment": partial(without_final_alignment, base=paper),
 }
@@ -143,7 +143,7 @@ def every_frame(components: Components) -> Assembled:
 
 DEFAULT: Mapping[str, Assemble] = {
     "default_no_pseudo_action": partial(without_pseudo_action, base=default),
-    "default_no_dynamics_initialisation": partial(without_dynamics_initialisation, base=default),
+    "default_no_dynamics_initialization": partial(without_dynamics_initialization, base=default),
     "default_no_action": partial(without_action, base=default),
     "default_no_final_alignment": partial(without_final_alignment, base=default),
     "default_unaligned_first": unaligned_first,

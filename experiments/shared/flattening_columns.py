@@ -8,7 +8,7 @@ from scipy.stats import spearmanr
 from shared.bench_measures import Row
 from shared.table_column import Column, table
 
-IMPROVEMENT = Column("normalised improvement", "improvement", digits=3, last=True, spread=True)
+IMPROVEMENT = Column("normalized improvement", "improvement", digits=3, last=True, spread=True)
 DECISION = Column("decision CPU s", "decision_cpu_s", digits=1)
 END_ERROR = Column("error at the end, mm", "end_error_mm", spread=True)
 FLATTENING_COLUMNS: Mapping[str, tuple[Column, ...]] = {
@@ -48,7 +48,7 @@ PRETRAINED, TUNED, BOUND = "pretrained", "fine-tuned", "control: truth, simulato
 
 
 def curve_values(rows: Sequence[Row], variant: str) -> tuple[list[int], list[float]]:
-    """Actions of a method, and the mean normalised improvement after each."""
+    """Actions of a method, and the mean normalized improvement after each."""
     of: dict[int, list[float]] = {}
     for row in rows:
         if row["variant"] == variant:
@@ -58,7 +58,7 @@ def curve_values(rows: Sequence[Row], variant: str) -> tuple[list[int], list[flo
 
 
 def curve(rows: Sequence[Row], variants: Sequence[str]) -> str:
-    """Mean normalised improvement after each action; an episode that ended stays where it was."""
+    """Mean normalized improvement after each action; an episode that ended stays where it was."""
     actions = sorted({int(row["action"]) for row in rows})
     lines = []
     for variant in variants:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.data.pseudo_labels import (
-    LabelledRecording,
+    LabeledRecording,
     PseudoLabel,
     label_recording,
 )
@@ -22,7 +22,7 @@ SMOOTH_M = 0.15
 """Length over which the error of a label that is made wrong changes [m]."""
 
 
-def tracked_labels(task: Task) -> LabelledRecording:
+def tracked_labels(task: Task) -> LabeledRecording:
     """Pseudo-labels of a finished run: the flat first frame, and the end of every action."""
     recording = read_recording(task.trajectory.recording)
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
@@ -31,7 +31,7 @@ def tracked_labels(task: Task) -> LabelledRecording:
     return label_recording(recording, mesh, chosen, kind=task.trajectory.kind)
 
 
-def true_labels(task: Task) -> LabelledRecording:
+def true_labels(task: Task) -> LabeledRecording:
     """The same frames on the same vertices, each where its piece of cloth really is."""
     trajectory = task.trajectory
     recording, truth = read_recording(trajectory.recording), Truth.load(trajectory.truth)
@@ -44,7 +44,7 @@ def true_labels(task: Task) -> LabelledRecording:
     return label_recording(recording, mesh, chosen, kind=trajectory.kind)
 
 
-def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabelledRecording:
+def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabeledRecording:
     """The true labels moved along the table, smoothly over the garment; the flat start stays right.
 
     Args:
@@ -64,7 +64,7 @@ def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabelledRecord
     return label_recording(recording, true.mesh, labels, kind=true.kind)
 
 
-def simulated_labels(task: Task, *, seed: int = 0) -> LabelledRecording:
+def simulated_labels(task: Task, *, seed: int = 0) -> LabeledRecording:
     """The meshes of a run drawn as the network's pretraining draws states: exact labels.
 
     Args:
@@ -77,7 +77,7 @@ def simulated_labels(task: Task, *, seed: int = 0) -> LabelledRecording:
     pictures = [render(np.asarray(each, np.float64), mesh, RenderConfig(), rng) for each in states]
     frames = (0, *(label.frame for label in labels))
     name = f"simulated_{task.trajectory.name}"
-    return LabelledRecording(name, task.trajectory.kind, mesh, frames, tuple(pictures))
+    return LabeledRecording(name, task.trajectory.kind, mesh, frames, tuple(pictures))
 
 
 def _smooth_field(
@@ -90,13 +90,13 @@ def _smooth_field(
 
 
 def label_mesh(task: Task, frame: int) -> ClothMesh | None:
-    """The tracker's mesh at a frame that ended an action; None when it labelled another."""
+    """The tracker's mesh at a frame that ended an action; None when it labeled another."""
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
     found = [label.vertices for label in labels if label.frame == frame]
     return mesh.with_vertices(np.asarray(found[0], np.float64)) if found else None
 
 
-def digest_of(labels: Sequence[LabelledRecording]) -> str:
+def digest_of(labels: Sequence[LabeledRecording]) -> str:
     """Ten hexadecimal digits that change with any picture or label."""
     content = hashlib.sha256()
     for one in labels:

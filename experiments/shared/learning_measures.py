@@ -14,7 +14,7 @@ from clothtrack.evaluation import (
     material_points,
     vertex_error_mm,
 )
-from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, visible_vertices
+from clothtrack.geometry import ClothMesh, Rasterizer, closest_on_mesh, visible_vertices
 from clothtrack.reconstruction import NetworkMesh
 from clothtrack.reconstruction.first_mesh import symmetries
 from clothtrack.reconstruction.seen_points import SeenPoints
@@ -102,7 +102,7 @@ def measure_reconstruction(found: NetworkMesh, case: Case) -> Row:
 def vertex_errors(mesh: ClothMesh, case: Case) -> tuple[dict, dict]:
     """Vertices against their true places, as the mesh names them, and as it names them best.
 
-    Best is the look-alike labelling with the least mean error, one for the mesh as a whole. A towel
+    Best is the look-alike labeling with the least mean error, one for the mesh as a whole. A towel
     has its longer side along x in both, whatever its own coordinates say.
 
     Returns:
@@ -123,7 +123,7 @@ def canonical_errors(seen: SeenPoints, case: Case) -> Row:
     camera sees.
     """
     surface, truth = case.truth.at(case.frame), case.truth
-    shown = [Rasteriser(truth.faces, camera).render(surface).faces for camera in _cameras(case)]
+    shown = [Rasterizer(truth.faces, camera).render(surface).faces for camera in _cameras(case)]
     faces = np.unique(np.concatenate([each[each >= 0] for each in shown]))
     face, weights = closest_on_mesh(seen.points, surface, truth.faces[faces])
     corners = truth.faces[faces][face]
@@ -153,7 +153,7 @@ def _cameras(case: Case) -> list:
 def where_in(
     truth: Truth | ClothMesh, mesh: ClothMesh, kind: str, signs: Float[np.ndarray, " 3"]
 ) -> tuple:
-    """The pieces of the true cloth that the vertices are, under one look-alike labelling."""
+    """The pieces of the true cloth that the vertices are, under one look-alike labeling."""
     canonical = conventional(np.asarray(truth.canonical, np.float64), kind)
     own = conventional(np.asarray(mesh.canonical, np.float64), kind)
     return material_map(canonical, truth.faces, own * signs)

@@ -27,7 +27,7 @@ from clothtrack.reconstruction import (
     load_model,
     open_states,
 )
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording, cloth_picture
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.design import Reconstructor as NetworkOfPictures
 from clothtrack.reconstruction.model_loading import designs
@@ -99,7 +99,7 @@ class Tuner:
     device: str = "cpu"
     old: Mapping[str, Path] = field(default_factory=dict)
 
-    def tuned(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
+    def tuned(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
         """The weights after fine-tuning on these labels; trained where they are not kept.
 
         Raises:
@@ -142,7 +142,7 @@ class Tuner:
         own = [one for one in self.settings if one.partition(".")[0] not in others]
         return with_settings(config, own)
 
-    def folder(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
+    def folder(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
         """Where the network is kept that begins with these weights and learns from these labels."""
         config = self.config_of(load_weights(start))
         settings: dict[str, object] = {

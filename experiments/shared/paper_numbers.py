@@ -11,7 +11,7 @@ PAPER: Mapping[str, Mapping[str, float]] = {
     "table1": {
         "paper": 1.13,
         "no_pseudo_action": 1.62,
-        "no_dynamics_initialisation": 1.40,
+        "no_dynamics_initialization": 1.40,
         "no_action_conditioning": 3.72,
         "no_final_alignment": 2.19,
         "reconstruction_network": 3.0,

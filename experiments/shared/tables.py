@@ -133,7 +133,7 @@ def _by_action_and_garment(rows: Sequence[Row], variants: Sequence[str]) -> list
 
 
 def _improvement_by_action(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
-    heading = "Mean normalised improvement after each action:"
+    heading = "Mean normalized improvement after each action:"
     return [heading, curve(rows, variants), targets(rows)]
 
 

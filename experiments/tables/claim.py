@@ -40,7 +40,7 @@ import clothtrack
 import clothtrack_lab
 from clothtrack.errors import ClothTrackError
 from clothtrack.geometry import quiet_warp
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.tracking import mode
 from clothtrack.tracking.search import SearchConfig
 
@@ -133,7 +133,7 @@ class Claim:
 
     def _labels(
         self, name: str, learned: Sequence[Trajectory]
-    ) -> tuple[list[LabelledRecording], float]:
+    ) -> tuple[list[LabeledRecording], float]:
         """The labels of a name, and their own mean error [mm]."""
         if name in TRACKED:
             tasks = self._tracked(name, learned)

@@ -3,7 +3,7 @@
 Each recording is tracked twice. From flat: as it is, from the template that it carries. From
 crumpled: from the frame before its second action on, without a template; the first mesh is the
 network's, of that one picture and the garment's size. Both are compared with the truth after the
-same actions, under the look-alike labelling that fits best.
+same actions, under the look-alike labeling that fits best.
 
     clothtrack simulate OUT --garment towel --trajectories 10 --seed 700
     clothtrack simulate OUT --garment tshirt --trajectories 10 --seed 700
@@ -72,7 +72,7 @@ def crumpled(recording: Recording) -> Recording:
 def errors_mm(
     mesh: ClothMesh, ends: Sequence[tuple[int, Float[np.ndarray, "vertices 3"]]], truth: Truth
 ) -> list[float]:
-    """Mean vertex error [mm] at frames, under the labelling that fits best in their mean.
+    """Mean vertex error [mm] at frames, under the labeling that fits best in their mean.
 
     Args:
         mesh: what was tracked, canonical coordinates filled.

@@ -52,7 +52,7 @@ def steps(setup: Setup) -> list[Variant]:
 
 WITHOUT = {
     "pseudo-action": "default_no_pseudo_action",
-    "dynamics initialisation": "default_no_dynamics_initialisation",
+    "dynamics initialization": "default_no_dynamics_initialization",
     "action": "default_no_action",
     "TTO2": "default_no_final_alignment",
     "first alignment": "default_unaligned_first",

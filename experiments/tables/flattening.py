@@ -1,6 +1,6 @@
 """Flattening column of Table 2: the same crumpled starts, ten actions each, in the stand-in world.
 
-Claims judged: fine-tuning lifts the normalised improvement by 30 % (paper, 0.23 to 0.30); the
+Claims judged: fine-tuning lifts the normalized improvement by 30 % (paper, 0.23 to 0.30); the
 fine-tuned network reaches 80 % of what the truth as perception reaches; the learned dynamics are as
 good as the simulator. Random actions and the geometric heuristic say what no mesh is worth. What
 begins with "control" knows the truth, and is an upper bound and no result.

@@ -1,7 +1,7 @@
 """Networks on fresh simulated states: how far is every vertex from the truth, seen or hidden?
 
 One picture per state, by a camera of the kinds that the networks learn from; the garment's own flat
-mesh is given. Errors are those of the look-alike labelling that fits best, the same for every
+mesh is given. Errors are those of the look-alike labeling that fits best, the same for every
 network. The states are simulated by the solver that made the training states, from another seed.
 
     clothtrack simulate out/towels --garment towel --states 60 --seed 78
@@ -45,7 +45,7 @@ from clothtrack.files import atomic_file, content_hash
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import (
     ClothMesh,
-    Rasteriser,
+    Rasterizer,
     closest_on_mesh,
     crossings,
     quiet_warp,
@@ -94,7 +94,7 @@ def named_best(
     vertices: Float[np.ndarray, "vertices 3"],
     true: Float[np.ndarray, "vertices 3"],
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Return the vertices [m] under the labelling that is nearest to the truth."""
+    """Return the vertices [m] under the labeling that is nearest to the truth."""
     canonical = np.asarray(mesh.canonical, float)
     renamed = []
     for turn in look_alikes(mesh):
@@ -146,7 +146,7 @@ class State:
         self._flat, self._kind = shard.mesh, kind
         self.picture = DepthInput(drawn.depth_m, drawn.mask, drawn.camera, TABLE, kind)
         self.true = shard.mesh.with_vertices(true)
-        shown = Rasteriser(shard.mesh.faces, drawn.camera).render(true).faces
+        shown = Rasterizer(shard.mesh.faces, drawn.camera).render(true).faces
         self._seen = np.zeros(len(true), bool)
         self._seen[np.unique(shard.mesh.faces[np.unique(shown[shown >= 0])])] = True
         self.known: Row = {

@@ -1,6 +1,6 @@
 """Table 1: the paper's method, its four ablations, open loop, and our default.
 
-Claim judged: pseudo-action, dynamics initialisation, action conditioning and TTO2 each earn their
+Claim judged: pseudo-action, dynamics initialization, action conditioning and TTO2 each earn their
 place; and the default is nearer to the truth than the paper's method. The paper could only measure
 the Chamfer distance, which hardly follows the true error; both stand here. The rows begin with the
 recording's template, those "network first" with what the network makes of the first picture.
@@ -18,7 +18,7 @@ from shared.experiment import Run, Setup, run_experiment
 
 METHODS = (
     "no_pseudo_action",
-    "no_dynamics_initialisation",
+    "no_dynamics_initialization",
     "no_action_conditioning",
     "no_final_alignment",
     "paper",

@@ -1,4 +1,4 @@
-"""Test-time optimisation against a double-precision oracle, all pairs and its own laws."""
+"""Test-time optimization against a double-precision oracle, all pairs and its own laws."""
 
 from copy import copy
 from dataclasses import replace
@@ -99,7 +99,7 @@ class Oracle:
         return value, gradient
 
     def adam(self):
-        """The paper's optimiser, as its publication reads."""
+        """The paper's optimizer, as its publication reads."""
         d = np.zeros_like(self.positions)
         first, second, losses = np.zeros_like(d), np.zeros_like(d), []
         for t in range(1, self.config.iterations + 1):

@@ -15,7 +15,7 @@ QUICK = [
 
 
 @pytest.mark.slow
-def test_the_control_is_labelled_on_the_command_line(tmp_path, capsys):
+def test_the_control_is_labeled_on_the_command_line(tmp_path, capsys):
     words = ["flatten", str(tmp_path), "--perception", "truth", "--actions", "1", *QUICK]
     assert cli.main(words) == 0
     assert "CONTROL" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from clothtrack.cli import command_line as cli
 from clothtrack.evaluation.label_review import LabelReview, review_path
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.mesh_file import write_mesh
 from clothtrack.recordings.recording import ClothDescription
 from clothtrack.recordings.store import RecordingWriter
@@ -40,7 +40,7 @@ def world(tmp_path_factory):
         folder / "recordings" / "lift", [CAMERA], {"top": 1e-4}, cloth=ClothDescription("towel")
     ) as writer:
         for step, vertices in enumerate(states):
-            drawn = Rasteriser(TOWEL.faces, CAMERA).render(vertices)
+            drawn = Rasterizer(TOWEL.faces, CAMERA).render(vertices)
             seen = drawn.faces >= 0
             depth = np.where(seen, drawn.depth, 0.6).astype(np.float32)
             writer.add_frame(0.1 * step, depth={"top": depth}, mask={"top": seen})
@@ -83,11 +83,11 @@ def test_a_trajectory_its_truth_and_its_review_are_in_one_page(world, tmp_path, 
 
 
 def test_a_recording_and_a_mesh_are_shown_without_more(world, tmp_path, capsys):
-    for artefact in (world / "recordings" / "lift", world / "towel.obj"):
-        page = tmp_path / f"{artefact.stem}.html"
-        assert cli.main(["view", str(artefact), "--html", str(page)]) == 0
+    for artifact in (world / "recordings" / "lift", world / "towel.obj"):
+        page = tmp_path / f"{artifact.stem}.html"
+        assert cli.main(["view", str(artifact), "--html", str(page)]) == 0
         assert page.exists()
-        assert cli.main(["view", str(artefact), "--truth", str(world / "truth")]) == 1
+        assert cli.main(["view", str(artifact), "--truth", str(world / "truth")]) == 1
         assert "is not tracked" in capsys.readouterr().err
 
 
@@ -224,15 +224,15 @@ VIEW = (
 
 
 @pytest.mark.parametrize(
-    "artefact",
+    "artifact",
     [
         pytest.param("towel.obj", marks=pytest.mark.slow),
         pytest.param("recordings/lift", marks=pytest.mark.slow),
         "tracked/lift.zarr",
     ],
 )
-def test_a_page_is_served_at_an_address_that_is_said_until_ctrl_c(world, artefact):
-    words = ["view", artefact, *(["--recordings", "recordings"] if "zarr" in artefact else [])]
+def test_a_page_is_served_at_an_address_that_is_said_until_ctrl_c(world, artifact):
+    words = ["view", artifact, *(["--recordings", "recordings"] if "zarr" in artifact else [])]
     with subprocess.Popen(
         [sys.executable, "-c", VIEW, *words], cwd=world,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

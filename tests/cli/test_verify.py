@@ -1,4 +1,4 @@
-"""Every artefact is told by its content; a trajectory is tracked again and compared to the bit."""
+"""Every artifact is told by its content; a trajectory is tracked again and compared to the bit."""
 
 import json
 import shutil
@@ -30,7 +30,7 @@ def run(world):
 
 
 @pytest.fixture
-def artefacts(run, world, tmp_path):
+def artifacts(run, world, tmp_path):
     """One of each kind, by its kind; to be damaged."""
     shutil.copytree(world / "recordings", tmp_path / "recordings")
     shutil.copytree(world / "truth", tmp_path / "truth")
@@ -52,14 +52,14 @@ def artefacts(run, world, tmp_path):
     }
 
 
-def test_whole_artefacts_are_known_and_damaged_ones_told_in_one_line(artefacts, capsys):
-    paths = list(map(str, artefacts.values()))
+def test_whole_artifacts_are_known_and_damaged_ones_told_in_one_line(artifacts, capsys):
+    paths = list(map(str, artifacts.values()))
     assert main(["inspect", *paths]) == 0
     lines = capsys.readouterr().out.splitlines()
-    for kind, path in artefacts.items():
+    for kind, path in artifacts.items():
         begin = f"{path}: a valid {kind}" if kind == "recording" else f"{path}   ok: {kind}"
         assert [line for line in lines if line.startswith(begin)], begin
-    for kind, path in artefacts.items():
+    for kind, path in artifacts.items():
         if kind == "states":
             continue  # its shard is one of the others
         files = [one for one in path.rglob("*") if one.is_file()] or [path]
@@ -71,14 +71,14 @@ def test_whole_artefacts_are_known_and_damaged_ones_told_in_one_line(artefacts, 
     assert main(["inspect", *paths, "--json"]) == 1
     told = capsys.readouterr()
     assert told.err == ""
-    for one, (kind, path) in zip(json.loads(told.out), artefacts.items(), strict=True):
+    for one, (kind, path) in zip(json.loads(told.out), artifacts.items(), strict=True):
         assert (one["path"], one["kind"], one["ok"]) == (str(path), kind, False)
         assert one["problems"]
         assert "\n" not in one["problems"][0]
 
 
-def test_a_shard_that_is_listed_and_gone_is_missed(artefacts):
-    folder = artefacts["states"]
+def test_a_shard_that_is_listed_and_gone_is_missed(artifacts):
+    folder = artifacts["states"]
     document = json.loads((folder / "states.json").read_text())
     made = {"states": 1, "cpu_s": None}
     document["shards"] = {"0000.zarr": made, "0001.zarr": made}
@@ -86,8 +86,8 @@ def test_a_shard_that_is_listed_and_gone_is_missed(artefacts):
     assert ct.verify(folder).problems == ("shards/0001.zarr is missing",)
 
 
-def test_weights_are_held_against_their_card(artefacts):
-    path = artefacts["weights"]
+def test_weights_are_held_against_their_card(artifacts):
+    path = artifacts["weights"]
     text = (SHIPPED / "towel.md").read_text()
     path.with_suffix(".md").write_text(text)
     assert ct.verify(path).ok
@@ -95,7 +95,7 @@ def test_weights_are_held_against_their_card(artefacts):
     assert "another file than its card" in str(ct.verify(path))
 
 
-def test_the_benchmark_is_held_against_its_list(artefacts, tmp_path):
+def test_the_benchmark_is_held_against_its_list(artifacts, tmp_path):
     entry = {"name": "towel_0003", "recording_sha256": "0" * 64, "truth_sha256": "0" * 64}
     listed = {"name": "clothtrack-bench", "format": 1, "trajectories": [entry]}
     (tmp_path / "bench.json").write_text(json.dumps(listed))
@@ -131,8 +131,8 @@ def test_what_is_none_is_told_without_a_traceback(name, words, tmp_path, capsys)
     assert told.count("\n") == 1
 
 
-def test_a_trajectory_is_replayed_to_the_same_bits(artefacts, world, capsys):
-    words = ["inspect", str(artefacts["tracked trajectory"])]
+def test_a_trajectory_is_replayed_to_the_same_bits(artifacts, world, capsys):
+    words = ["inspect", str(artifacts["tracked trajectory"])]
     assert main([*words, "--recordings", str(world / "recordings")]) == 0
     assert "replayed to the same bits" in capsys.readouterr().out
 
@@ -179,7 +179,7 @@ def test_what_cannot_be_replayed_says_why_and_is_no_damage(run, world, tmp_path,
     assert words in str(found)
 
 
-def test_a_trajectory_without_its_recording_is_not_replayed(artefacts, tmp_path):
-    found = ct.verify(artefacts["tracked trajectory"], tmp_path / "nowhere")
+def test_a_trajectory_without_its_recording_is_not_replayed(artifacts, tmp_path):
+    found = ct.verify(artifacts["tracked trajectory"], tmp_path / "nowhere")
     assert found.ok
     assert "not replayed: " in str(found)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.geometry import Rasteriser
+from clothtrack.geometry import Rasterizer
 
 LEFT, WIDTH = 320, 200
 """The part of the columns that is kept; the principal point is in column 179.5 of the whole."""
@@ -25,8 +25,8 @@ def whole(napkin, tmp_path_factory):
         world_from_camera=pose,
     )  # fmt: skip
     ground = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
-    table = Rasteriser(np.array([[0, 1, 2], [0, 2, 3]]), camera).render(ground).depth
-    draw = Rasteriser(truth.faces, camera)
+    table = Rasterizer(np.array([[0, 1, 2], [0, 2, 3]]), camera).render(ground).depth
+    draw = Rasterizer(truth.faces, camera)
     folder = tmp_path_factory.mktemp("films") / "whole"
     with ct.RecordingWriter(
         folder, [camera], {"top": 0.0001}, table=source.table, cloth=source.cloth

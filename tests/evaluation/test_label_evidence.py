@@ -16,7 +16,7 @@ from clothtrack.evaluation.label_evidence import (
 )
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -34,7 +34,7 @@ def recording(tmp_path_factory):
     """Two frames of a flat towel, seen without noise from above."""
     folder = tmp_path_factory.mktemp("recording") / "flat"
     flat_table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    view = Rasteriser(SHEET.faces, CAMERA).render(FLAT)
+    view = Rasterizer(SHEET.faces, CAMERA).render(FLAT)
     shown = view.faces >= 0
     depth = np.where(shown, view.depth, HEIGHT_M)
     with RecordingWriter(folder, [CAMERA], {"top": 0.0001}, table=flat_table) as film:

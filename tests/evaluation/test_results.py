@@ -17,7 +17,7 @@ from clothtrack.evaluation.results import (
 from clothtrack.evaluation.truth import Truth
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.tracking.configuration import MODES, mode
@@ -52,7 +52,7 @@ def recording(tmp_path_factory):
     """Two frames of a towel that is folded, seen without noise from above."""
     folder = tmp_path_factory.mktemp("recording") / "fold"
     flat_table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    draw = Rasteriser(SHEET.faces, CAMERA)
+    draw = Rasterizer(SHEET.faces, CAMERA)
     with RecordingWriter(folder, [CAMERA], {"top": 0.0001}, table=flat_table) as film:
         for index, vertices in enumerate(TRUE):
             view = draw.render(vertices)

@@ -182,9 +182,9 @@ def test_the_network_is_shown_the_hanging_cloth_lying(hanging):
     mesh, rest = frames.tracked_mesh(still)(1)
     np.testing.assert_allclose(mesh.vertices[:, 2], -DEPTH_M, atol=1e-6)
     assert rest is still.mesh
-    for labelled in (frames.labelled(still), frames.simulated(still)):
-        assert labelled.frames == tuple(range(FRAMES))
-        for one in labelled.pictures:
+    for labeled in (frames.labeled(still), frames.simulated(still)):
+        assert labeled.frames == tuple(range(FRAMES))
+        for one in labeled.pictures:
             assert (one.faces[one.mask] >= 0).mean() > 0.95
 
 

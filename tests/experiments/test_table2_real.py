@@ -47,17 +47,17 @@ def found(data, tmp_path_factory):
 
 def test_every_frame_that_is_judged_is_a_label_too(found):
     white = found["lift_white"]
-    labelled = white.labelled(Tracked(white))
-    assert labelled.frames == (6, 7, 8)
-    for picture in labelled.pictures:
+    labeled = white.labeled(Tracked(white))
+    assert labeled.frames == (6, 7, 8)
+    for picture in labeled.pictures:
         assert (picture.faces[picture.mask] >= 0).mean() > 0.95
 
 
 def test_the_control_has_the_cut_and_the_tool_and_as_many_points(found):
     gray = found["lift_grey"]
-    labelled = gray.simulated(Tracked(gray))
-    assert labelled.name == "simulated_lift_grey"
-    for frame, picture in zip(labelled.frames, labelled.pictures, strict=True):
+    labeled = gray.simulated(Tracked(gray))
+    assert labeled.name == "simulated_lift_grey"
+    for frame, picture in zip(labeled.frames, labeled.pictures, strict=True):
         points = picture.camera.back_project(picture.depth_m, picture.mask)
         assert 0 < len(points) <= len(gray.sequence.clouds[frame])
         apart = np.linalg.norm(points - gray.sequence.gripper[frame], axis=1)
@@ -65,7 +65,7 @@ def test_the_control_has_the_cut_and_the_tool_and_as_many_points(found):
         # Its surface is the simulated one, which does not lean as the measured one does.
         assert np.median(points[:, 2]) == pytest.approx(TABLE_M + 0.02 * frame, abs=0.002)
     again = gray.simulated(Tracked(gray))
-    np.testing.assert_array_equal(again.pictures[0].depth_m, labelled.pictures[0].depth_m)
+    np.testing.assert_array_equal(again.pictures[0].depth_m, labeled.pictures[0].depth_m)
 
 
 def test_the_gripper_judges_the_corner_and_no_one_is_told_of_it(found):
@@ -187,5 +187,5 @@ def test_labels_that_teach_nothing_are_a_row_that_says_so(tmp_path):
     arguments = ["--smoke", "--json", str(out), "--networks", "tokens", "--labels", "open_loop"]
     assert table2_real.main(arguments) == 0
     first, *others = json.loads(out.read_text())["rows"]
-    assert "no labelled picture whose mesh lies where" in first["error"]
+    assert "no labeled picture whose mesh lies where" in first["error"]
     assert [row["labels"] for row in others] == ["tracker"]

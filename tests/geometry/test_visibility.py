@@ -5,7 +5,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser, VisibilityCheck, visible_vertices
+from clothtrack.geometry.visibility import Rasterizer, VisibilityCheck, visible_vertices
 
 DOWN = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1.0], [0, 0, 0, 1]])
 
@@ -59,14 +59,14 @@ def random_pose(rng):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_rasteriser_agrees_with_ray_casting(seed):
+def test_rasterizer_agrees_with_ray_casting(seed):
     rng = np.random.default_rng(seed)
     view = camera(pose=random_pose(rng), center=(20.3, 31.2))
     centers = rng.uniform([-0.4, -0.4, 0.5], [0.4, 0.4, 2.0], size=(40, 1, 3))
     local = centers + rng.normal(scale=0.15, size=(40, 3, 3))
     vertices = (local @ view.world_from_camera[:3, :3].T + view.position).reshape(-1, 3)
     faces = np.arange(120).reshape(-1, 3)
-    seen = Rasteriser(faces, view).render(vertices)
+    seen = Rasterizer(faces, view).render(vertices)
     depth, index, margin = cast_rays(vertices, faces, view)
     sure = margin > 2e-3
     assert sure.mean() > 0.7
@@ -82,7 +82,7 @@ def test_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is_in_front()
     assert ((local[..., 2] < 0).any(1) & (local[..., 2] > 0).any(1)).sum() > 5
     vertices = (local @ view.world_from_camera[:3, :3].T + view.position).reshape(-1, 3)
     faces = np.arange(90).reshape(-1, 3)
-    seen = Rasteriser(faces, view).render(vertices)
+    seen = Rasterizer(faces, view).render(vertices)
     depth, index, margin = cast_rays(vertices, faces, view)
     sure = margin > 3e-3
     assert sure.mean() > 0.5
@@ -95,17 +95,17 @@ def test_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is_in_front()
 def test_the_window_of_a_mesh_holds_all_that_is_drawn(offset, height):
     vertices, faces = grid(7, 0.3, height, offset)
     vertices[:, 2] += 0.05 * vertices[:, 0]
-    rasteriser = Rasteriser(faces, camera())
-    window = rasteriser.window(vertices)
-    drawn = rasteriser.render(vertices).faces
-    np.testing.assert_array_equal(rasteriser.faces_within(vertices, window), drawn[window])
+    rasterizer = Rasterizer(faces, camera())
+    window = rasterizer.window(vertices)
+    drawn = rasterizer.render(vertices).faces
+    np.testing.assert_array_equal(rasterizer.faces_within(vertices, window), drawn[window])
     drawn[window] = -1
     assert (drawn == -1).all()
 
 
 def test_a_mesh_behind_the_camera_leaves_the_image_empty():
     vertices, faces = grid(5, 0.3, height=2.0)
-    seen = Rasteriser(faces, camera()).render(vertices)
+    seen = Rasterizer(faces, camera()).render(vertices)
     assert (seen.faces == -1).all()
     assert np.isposinf(seen.depth).all()
 
@@ -113,7 +113,7 @@ def test_a_mesh_behind_the_camera_leaves_the_image_empty():
 def test_a_closed_grid_has_no_holes_even_with_pixel_centers_on_its_edges():
     view = Camera("top", 41, 41, 40.0, 40.0, 20.0, 20.0, DOWN)
     vertices, faces = grid(21, 1.0)  # every edge lies on a line of pixel centers or between two
-    seen = Rasteriser(faces, view).render(vertices)
+    seen = Rasterizer(faces, view).render(vertices)
     assert (seen.faces >= 0).all()
     np.testing.assert_allclose(seen.depth, 1.0, rtol=1e-6)
 
@@ -124,7 +124,7 @@ def test_pixel_centers_are_at_integers():
         x, y = (column - view.cx) / view.fx, (row - view.cy) / view.fy
         local = np.array([[x - 0.03, y - 0.03, 1], [x + 0.03, y - 0.03, 1], [x, y + 0.04, 1]])
         vertices = local @ view.world_from_camera[:3, :3].T + view.position
-        seen = Rasteriser(np.array([[0, 1, 2]]), view).render(vertices)
+        seen = Rasterizer(np.array([[0, 1, 2]]), view).render(vertices)
         assert np.argwhere(seen.faces == 0).tolist() == [[row, column]]
 
 
@@ -133,8 +133,8 @@ def test_face_order_and_winding_do_not_change_the_picture():
     vertices, faces = grid(9, 0.5)
     vertices[:, 2] = rng.uniform(0, 0.2, len(vertices))
     order = rng.permutation(len(faces))
-    one = Rasteriser(faces, camera()).render(vertices)
-    other = Rasteriser(faces[order][:, ::-1], camera()).render(vertices)
+    one = Rasterizer(faces, camera()).render(vertices)
+    other = Rasterizer(faces[order][:, ::-1], camera()).render(vertices)
     np.testing.assert_allclose(other.depth, one.depth, rtol=1e-6)
     covered = one.faces >= 0
     np.testing.assert_array_equal(covered, other.faces >= 0)
@@ -217,4 +217,4 @@ def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(InvalidConfigError, match="tolerance_m"):
         VisibilityCheck(faces, [camera()], tolerance_m=-1.0)
     with pytest.raises(InvalidConfigError, match="no face"):
-        Rasteriser(faces[:0], camera())
+        Rasterizer(faces[:0], camera())

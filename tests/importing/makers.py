@@ -48,7 +48,7 @@ class Film:
 
 
 class Messages:
-    """Builds and serialises messages for ROS 1 or ROS 2."""
+    """Builds and serializes messages for ROS 1 or ROS 2."""
 
     def __init__(self, *, cdr):
         self.cdr = cdr

@@ -7,7 +7,7 @@ import pytest
 
 import clothtrack as ct
 from clothtrack.garments import garment
-from clothtrack.live.live_judge import Judgement
+from clothtrack.live.live_judge import Judgment
 from clothtrack.live.recovery import LOST_SHARE, Recovery
 from clothtrack.tracking.configuration import InitialStateConfig
 from clothtrack.tracking.initial_state import InitialState
@@ -16,14 +16,14 @@ CONFIG = InitialStateConfig()
 
 
 def judged(time_s, share):
-    return Judgement(time_s, np.zeros(100), np.arange(100) < 100 * share)
+    return Judgment(time_s, np.zeros(100), np.arange(100) < 100 * share)
 
 
-def test_the_cloth_is_lost_when_two_judgements_say_so_and_that_is_said_once():
+def test_the_cloth_is_lost_when_two_judgments_say_so_and_that_is_said_once():
     recovery = Recovery(CONFIG, None, "cpu")
     much, little = LOST_SHARE + 0.05, LOST_SHARE - 0.05
     assert not recovery.look(judged(1.0, much))
-    assert not recovery.look(judged(1.0, much))  # the same judgement again
+    assert not recovery.look(judged(1.0, much))  # the same judgment again
     assert not recovery.astray
     assert not recovery.look(judged(1.5, little))
     assert not recovery.look(judged(2.0, much))

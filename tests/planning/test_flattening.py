@@ -11,7 +11,7 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.planning.action_space import Workspace
 from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -54,7 +54,7 @@ class PaperRobot:
         return FLAT.vertices * [self.share, 1.0, 1.0] + [0.0, 0.0, 0.01]
 
     def observe(self):
-        drawn = Rasteriser(FLAT.faces, CAMERA).render(self.vertices).depth
+        drawn = Rasterizer(FLAT.faces, CAMERA).render(self.vertices).depth
         depth = np.where(np.isfinite(drawn), drawn, 0.8).astype(np.float32)
         return RgbdFrame(float(next(self.clock)), CAMERA, depth)
 
@@ -228,7 +228,7 @@ def test_a_pixel_of_the_table_is_as_large_as_it_is():
     assert table_pixel_areas(camera, TABLE)[20, 10] == pytest.approx(area, rel=0.01)
 
 
-def test_the_control_plans_is_labelled_and_leaves_a_normal_recording(tmp_path):
+def test_the_control_plans_is_labeled_and_leaves_a_normal_recording(tmp_path):
     simulator = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
     planner = PlannerConfig(candidates=10)
     config = FlattenConfig(

@@ -9,7 +9,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh_distance import distance_to_mesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.planning.episode_store import write_step
 from clothtrack.planning.perception import (
     Estimate,
@@ -38,7 +38,7 @@ def look(tmp_path):
     flat = towel(*SIZE_M, 0.02)
     turn = np.array([[0.9, -0.436, 0.0], [0.436, 0.9, 0.0], [0.0, 0.0, 1.0]])
     lying = flat.vertices @ turn.T + [0.05, 0.02, 0.01]
-    drawn = Rasteriser(flat.faces, CAMERA).render(lying).depth
+    drawn = Rasterizer(flat.faces, CAMERA).render(lying).depth
     frame = RgbdFrame(0.0, CAMERA, np.where(np.isfinite(drawn), drawn, 0.9).astype(np.float32))
     folder = tmp_path / "step"
     write_step(folder, [frame], cloth=ClothDescription(kind="towel", size_m=SIZE_M), table=TABLE)

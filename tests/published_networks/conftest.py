@@ -10,7 +10,7 @@ from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_triangle
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser, visible_vertices
+from clothtrack.geometry.visibility import Rasterizer, visible_vertices
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
 from clothtrack.simulation.parameters import SolverConfig
@@ -69,7 +69,7 @@ def fold(kind):
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = vertices[:, 0].mean(), vertices[:, 1].mean(), 0.8
     camera = Camera("above", 400, 400, 480.0, 480.0, 199.5, 199.5, pose)
-    buffer = Rasteriser(mesh.faces, camera).render(vertices)
+    buffer = Rasterizer(mesh.faces, camera).render(vertices)
     depth = np.where(np.isfinite(buffer.depth), buffer.depth, 0.0)
     return FoldedGarment(kind, mesh, vertices, camera, depth, buffer.faces)
 

@@ -6,7 +6,7 @@ import torch
 from torch.nn import functional
 
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data.view import cloth_pixels, view_camera
 from clothtrack.reconstruction.first_mesh import symmetries
 from clothtrack_lab.published_networks.canonical_frame import canonical_frame
@@ -15,7 +15,7 @@ from clothtrack_lab.published_networks.canonicalisation import (
     bin_of,
     canonical_loss,
     coordinates,
-    relabelled,
+    relabeled,
     symmetry_losses,
 )
 from clothtrack_lab.published_networks.network_config import preset
@@ -75,25 +75,25 @@ def test_the_window_ends_at_the_cube():
 
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
-def test_the_loss_does_not_change_when_the_cloth_is_relabelled(kind, rng):
+def test_the_loss_does_not_change_when_the_cloth_is_relabeled(kind, rng):
     signs = torch.from_numpy(symmetries(kind)).float()
     logits, units = random_logits(rng, 60), random_units(rng, 60)
     image = torch.arange(60) % 3
     plain = canonical_loss(logits, units, image, signs, 3)
     for index, one in enumerate(signs):
-        # Every picture may be relabelled by another member.
-        moved = torch.where((image == 1)[:, None], relabelled(units, one), units)
+        # Every picture may be relabeled by another member.
+        moved = torch.where((image == 1)[:, None], relabeled(units, one), units)
         again = canonical_loss(logits, moved, image, signs, 3)
         torch.testing.assert_close(again, plain)
         identity_only = canonical_loss(logits, moved, image, signs[:1], 3)
         assert index == 0 or abs(identity_only - plain) > 1e-3
 
 
-def test_the_labelling_is_chosen_per_picture_not_per_pixel(rng):
+def test_the_labeling_is_chosen_per_picture_not_per_pixel(rng):
     signs = torch.from_numpy(symmetries("tshirt")).float()
     units = random_units(rng, 40)
     half = torch.arange(40) < 20
-    torn = torch.where(half[:, None], units, relabelled(units, signs[1]))
+    torn = torch.where(half[:, None], units, relabeled(units, signs[1]))
     logits = logits_of(torn, 64)
     apart = canonical_loss(logits, units, (~half).long(), signs, 2)
     together = canonical_loss(logits, units, torch.zeros(40).long(), signs, 1)
@@ -180,7 +180,7 @@ def crumpled_examples(count):
         vertices[over, 0] = 2 * crease - flat[over, 0]
         vertices[:, 2] = np.where(over, 0.006, 0.0015)
         camera = view_camera(vertices, SMALL)
-        buffer = Rasteriser(mesh.faces, camera).render(vertices)
+        buffer = Rasterizer(mesh.faces, camera).render(vertices)
         depth = np.where(np.isfinite(buffer.depth), buffer.depth, 0.0).astype(np.float32)
         found = cloth_pixels(depth, SMALL)
         face = buffer.faces[tuple(found.sources.T)]
@@ -199,7 +199,7 @@ def test_the_small_network_can_learn_eight_pictures_by_heart():
     torch.manual_seed(0)
     depth, pixels, targets = crumpled_examples(8)
     network = Canonicaliser(SMALL)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=2e-3)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=2e-3)
     signs = torch.from_numpy(symmetries("towel")).float()
     image = pixels[:, 0]
 
@@ -209,7 +209,7 @@ def test_the_small_network_can_learn_eight_pictures_by_heart():
             each = torch.stack(
                 [
                     torch.zeros(8).index_add(
-                        0, image, (found - relabelled(targets, one)).norm(dim=1)
+                        0, image, (found - relabeled(targets, one)).norm(dim=1)
                     )
                     for one in signs
                 ]
@@ -220,7 +220,7 @@ def test_the_small_network_can_learn_eight_pictures_by_heart():
     for _ in range(40):
         logits = network.logits(network(depth), pixels)
         errors.append(error(logits))
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         canonical_loss(logits, targets, image, signs, 8).backward()
-        optimiser.step()
+        optimizer.step()
     assert np.mean(errors[-3:]) < 0.6 * errors[0]

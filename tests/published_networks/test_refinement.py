@@ -11,7 +11,7 @@ from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
@@ -41,7 +41,7 @@ def lying(mesh: ClothMesh, shift=(0.0, 0.0)) -> np.ndarray:
 
 def filmed(mesh: ClothMesh, vertices: np.ndarray):
     """The cloud of a perfect camera, and its points with their true canonical coordinates."""
-    drawn = Rasteriser(mesh.faces, CAMERA).render(vertices)
+    drawn = Rasterizer(mesh.faces, CAMERA).render(vertices)
     seen = np.isfinite(drawn.depth)
     depth = np.where(seen, drawn.depth, 0.0)
     points = CAMERA.back_project(depth, seen)
@@ -131,7 +131,7 @@ def test_nothing_stays_under_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     assert moved.positions[:, 2].min() > truth[:, 2].min() - 2e-3
 
 
-def test_consistency_minimises_what_it_says() -> None:
+def test_consistency_minimizes_what_it_says() -> None:
     """The closed form is the minimum of its formula, robust weights held fixed."""
     mesh = towel()
     truth = lying(mesh)

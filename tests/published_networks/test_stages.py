@@ -21,7 +21,7 @@ from clothtrack_lab.published_networks.observation import observe_pictures
 from clothtrack_lab.published_networks.stages import (
     canonicalisation_stage,
     completion_stage,
-    nearest_labelling,
+    nearest_labeling,
 )
 from clothtrack_lab.published_networks.state_examples import StateExamples
 from clothtrack_lab.published_networks.winding import WindingConfig
@@ -68,7 +68,7 @@ def examples_of(folder, kind, *, count=4, turn=False):
 
 
 class Learned(Canonicaliser):
-    """Answers with the true coordinates, relabelled, as one that has learned would."""
+    """Answers with the true coordinates, relabeled, as one that has learned would."""
 
     def __init__(self, unit, signs, bins=256):
         super().__init__(replace(TINY, bins=bins))
@@ -146,7 +146,7 @@ def test_canonical_errors_are_in_millimeters(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
-def test_the_labelling_is_the_one_that_the_network_has_chosen(tmp_path, kind):
+def test_the_labeling_is_the_one_that_the_network_has_chosen(tmp_path, kind):
     examples = examples_of(tmp_path, kind, count=2, turn=True)
     batch = collate([examples[index, 0] for index in range(2)])
     signs = canonicalisation_stage(TINY, kind).signs
@@ -155,7 +155,7 @@ def test_the_labelling_is_the_one_that_the_network_has_chosen(tmp_path, kind):
             Learned(batch.unit, one), canonical_frame(kind), batch.depth, batch.pixels,
             batch.points.double().numpy(),
         )  # fmt: skip
-        assert nearest_labelling(seen, batch, signs).tolist() == [number] * 2
+        assert nearest_labeling(seen, batch, signs).tolist() == [number] * 2
         # Aligned, the unfolded part of the cloth lies where its labels say.
         gap = (seen.aligned + 0.5 - seen.unit)[:, :2].norm(dim=1)
         assert float(gap.median()) < 0.15
@@ -164,7 +164,7 @@ def test_the_labelling_is_the_one_that_the_network_has_chosen(tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
 def test_the_loss_does_not_care_which_look_alike_was_drawn(tmp_path, kind):
-    """Relabelling an exactly symmetric cloth changes no loss: winding, warp or bins."""
+    """Relabeling an exactly symmetric cloth changes no loss: winding, warp or bins."""
     examples = examples_of(tmp_path, kind, count=2)
     batch = collate([examples[index, 0] for index in range(2)])
     first = canonicalisation_stage(TINY, kind, seed=2).eval()
@@ -176,22 +176,22 @@ def test_the_loss_does_not_care_which_look_alike_was_drawn(tmp_path, kind):
             for name in ("unit", "surface", "volume")
         }
         sign = float(signs[2]) if kind == "towel" else 1.0
-        relabelled = type(batch)(**{**batch.__dict__, **turned, "winding": batch.winding * sign})
+        relabeled = type(batch)(**{**batch.__dict__, **turned, "winding": batch.winding * sign})
         with torch.no_grad():
-            losses.append([float(first(relabelled)["loss"]), float(second(relabelled)["loss"])])
+            losses.append([float(first(relabeled)["loss"]), float(second(relabeled)["loss"])])
     np.testing.assert_allclose(losses, [losses[0]] * len(losses), rtol=1e-4)
 
 
-def test_unlabelled_pixels_do_not_train(tmp_path):
+def test_unlabeled_pixels_do_not_train(tmp_path):
     examples = examples_of(tmp_path, "tshirt", count=2)
     batch = collate([examples[index, 0] for index in range(2)])
     stage = canonicalisation_stage(TINY, "tshirt").eval()
-    labelled = batch.labelled.clone()
-    labelled[::3] = False
+    labeled = batch.labeled.clone()
+    labeled[::3] = False
     spoiled = batch.unit.clone()
     spoiled[::3] = 0.99
-    kept = type(batch)(**{**batch.__dict__, "labelled": labelled})
-    changed = type(batch)(**{**batch.__dict__, "labelled": labelled, "unit": spoiled})
+    kept = type(batch)(**{**batch.__dict__, "labeled": labeled})
+    changed = type(batch)(**{**batch.__dict__, "labeled": labeled, "unit": spoiled})
     with torch.no_grad():
         assert float(stage(kept)["loss"]) == float(stage(changed)["loss"])
         assert float(stage(kept)["loss"]) != float(stage(batch)["loss"])

@@ -65,11 +65,11 @@ def test_pixels_points_and_labels_agree(tmp_path, kind):
     )
     for index in range(4):
         example = examples[index, 7 * index]
-        assert example.labelled.mean() > 0.97
-        gap, nearest = cKDTree(example.surface).query(example.unit[example.labelled])
+        assert example.labeled.mean() > 0.97
+        gap, nearest = cKDTree(example.surface).query(example.unit[example.labeled])
         assert np.percentile(gap, 90) < 0.012
         # Material points a few millimeters apart on the cloth lie a few millimeters apart.
-        way = np.linalg.norm(example.positions[nearest] - example.points[example.labelled], axis=1)
+        way = np.linalg.norm(example.positions[nearest] - example.points[example.labeled], axis=1)
         assert np.median(way) < 0.006
         assert np.percentile(way, 95) < 0.015
 
@@ -131,7 +131,7 @@ def test_the_camera_still_sees_its_cloth(mirror, angle):
     assert np.linalg.norm(points - centers, axis=1).max() < 0.03
 
 
-def test_winding_numbers_are_those_of_the_labelled_garment():
+def test_winding_numbers_are_those_of_the_labeled_garment():
     mesh = garment("tshirt", vertex_count=600)
     labels = Garment.of(mesh, "tshirt", CONFIG.winding, seed=0)
     picture = render(crumpled(mesh), mesh, PERFECT, np.random.default_rng(0))
@@ -171,8 +171,8 @@ def test_rotations_are_even(shirts):
 
 def test_a_noisy_camera_measures_near_the_cloth(shirts):
     example = StateExamples([shirts], NETWORK, CONFIG, seed=1)[1, 0]
-    assert 0.5 < example.labelled.mean() <= 1.0
-    gap = cKDTree(example.positions).query(example.points[example.labelled])[0]
+    assert 0.5 < example.labeled.mean() <= 1.0
+    gap = cKDTree(example.positions).query(example.points[example.labeled])[0]
     assert 1e-4 < np.median(gap) < 0.01
 
 
@@ -189,9 +189,9 @@ def test_a_label_far_from_the_mesh_is_cut():
     example = draw_example(moved, labels, NETWORK, config, np.random.default_rng(0))
     high = example.points[:, 2] > 0.02
     assert 0.2 < high.mean() < 0.8
-    assert not example.labelled[high].any()
-    assert example.labelled[~high].mean() > 0.9
-    assert (example.unit[~example.labelled] == 0.0).all()
+    assert not example.labeled[high].any()
+    assert example.labeled[~high].mean() > 0.9
+    assert (example.unit[~example.labeled] == 0.0).all()
 
 
 def test_states_of_one_episode_are_one_group(shirts):
@@ -221,8 +221,8 @@ def test_examples_travel_to_other_processes(shirts):
     """How they travel is tested with the training loop; here, that they arrive whole."""
     examples = StateExamples([shirts], NETWORK, CONFIG, seed=6)
     order = [[(0, 0), (3, 1)]]
-    travelled = pickle.loads(pickle.dumps(examples))
-    here, there = (next(iter(loader(one, order, collate))) for one in (examples, travelled))
+    traveled = pickle.loads(pickle.dumps(examples))
+    here, there = (next(iter(loader(one, order, collate))) for one in (examples, traveled))
     assert torch.equal(here.depth, there.depth)
     assert torch.equal(here.unit, there.unit)
 

@@ -36,7 +36,7 @@ def rim_loops(faces):
 
 
 def exact_field(mesh, kind, config=SMALL):
-    """The generalised winding number of a canonical pose (A. Jacobson et al., 2013)."""
+    """The generalized winding number of a canonical pose (A. Jacobson et al., 2013)."""
     frame = canonical_frame(kind)
     grid = field_grid(frame, config)
     numbers = igl.fast_winding_number(

@@ -12,8 +12,8 @@ import torch
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording, write_labels
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.training.checkpoint import (
     load_progress,
@@ -66,8 +66,8 @@ def labels_of(folder, count=3):
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
     for number in range(count):
         picture = render(flat, mesh, RenderConfig(), np.random.default_rng(number))
-        assert isinstance(picture, LabelledPicture)
-        one = LabelledRecording(f"t{number}", "towel", mesh, (0,), (picture,))
+        assert isinstance(picture, LabeledPicture)
+        one = LabeledRecording(f"t{number}", "towel", mesh, (0,), (picture,))
         write_labels(one, folder / f"t{number}.labels.npz")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.seen_cloth import SeenCloth
 from clothtrack.recordings.recording import Table
@@ -24,7 +24,7 @@ def camera_above(height_m=1.0, width_m=0.5, pixels=PIXELS):
 
 def depth_of(vertices, faces, camera):
     """Depth [m]; 0 where there is no cloth."""
-    depth = Rasteriser(faces, camera).render(vertices).depth
+    depth = Rasterizer(faces, camera).render(vertices).depth
     return np.where(np.isfinite(depth), depth, 0.0)
 
 

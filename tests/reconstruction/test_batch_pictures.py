@@ -7,7 +7,7 @@ import torch
 
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data import batch_view
 from clothtrack.reconstruction.data.batch_draws import draw_scenes
 from clothtrack.reconstruction.data.batch_pictures import Cloths, Measured, measure
@@ -23,7 +23,7 @@ from clothtrack.reconstruction.data.batch_sensor import (
 )
 from clothtrack.reconstruction.data.batch_surface import on_mesh
 from clothtrack.reconstruction.data.batch_view import above
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture, faces_of_points
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture, faces_of_points
 from clothtrack.reconstruction.data.render_config import SENSORS, RenderConfig
 from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
@@ -86,7 +86,7 @@ def measured_alone(kind, count=6, config=PERFECT, seed=0):
 def test_the_rasterizer_is_that_of_warp(kind):
     shown = same = 0
     for positions, camera, picture in measured_alone(kind):
-        expected = Rasteriser(MESHES[kind].faces, camera).render(positions)
+        expected = Rasterizer(MESHES[kind].faces, camera).render(positions)
         face = picture.face[0].numpy()
         either = (face >= 0) | (expected.faces >= 0)
         shown, same = shown + either.sum(), same + (face == expected.faces)[either].sum()
@@ -281,10 +281,10 @@ def test_a_tool_hides_a_line_as_thick_as_it_is():
         assert both / (found[number] | (expected > 0)).sum() > 0.85
 
 
-def labelled(positions, camera, picture):
+def labeled(positions, camera, picture):
     """The picture of one cloth, as the functions of single pictures take it."""
     parts = (one[0].numpy() for one in (picture.depth, picture.mask))
-    return LabelledPicture(*parts, camera, picture.face[0].numpy(), positions.astype(float))
+    return LabeledPicture(*parts, camera, picture.face[0].numpy(), positions.astype(float))
 
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
@@ -304,7 +304,7 @@ def test_the_view_from_above_is_that_of_a_single_picture(kind, monkeypatch):
         local = camera.camera_from_world_points(points).astype(np.float32)
         at = views.points(torch.from_numpy(seen.sources)[None])[0].numpy()
         assert np.percentile(np.abs(at - local).max(1), 95) < 1e-3
-        single = labelled(positions, camera, picture)
+        single = labeled(positions, camera, picture)
         _check_faces(local, points, single, picture, MESHES[kind].faces)
 
 

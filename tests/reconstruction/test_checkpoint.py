@@ -240,7 +240,7 @@ def test_progress_that_does_not_fit_is_refused(line, tmp_path):
     line.train_line(tmp_path, epochs=1)
     path = tmp_path / "progress.pt"
     document = load_progress(path)
-    del document["optimiser"]
+    del document["optimizer"]
     save_progress(path, document)
     with pytest.raises(InvalidResultError, match="does not fit"):
         line.train_line(tmp_path, epochs=1)

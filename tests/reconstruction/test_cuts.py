@@ -53,7 +53,7 @@ def test_tokens_of_a_larger_garment_are_the_larger_tokens(kind):
     assert larger.tokens.size_m == pytest.approx(1.5)
     np.testing.assert_allclose(larger.tokens.canonical, 1.5 * cut.tokens.canonical, atol=1e-9)
     # All that the network is told are parts of the longer side, or of width and length.
-    for name in ("features", "vertex_shares", "vertex_tokens", "blend", "mirror", "labellings"):
+    for name in ("features", "vertex_shares", "vertex_tokens", "blend", "mirror", "labelings"):
         ours, theirs = getattr(larger.tokens, name), getattr(cut.tokens, name)
         np.testing.assert_allclose(ours, theirs, atol=1e-6, err_msg=name)
 

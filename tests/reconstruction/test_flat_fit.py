@@ -8,7 +8,7 @@ import pytest
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.flat_fit import flat_fit
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
@@ -39,7 +39,7 @@ def laid_out(kind: str, size_m: tuple[float, float], angle: float) -> np.ndarray
     vertices = mesh.vertices + (0.0, 0.0, 0.104)
     cosine, sine = np.cos(angle), np.sin(angle)
     vertices[:, :2] = vertices[:, :2] @ np.array([[cosine, sine], [-sine, cosine]]) + (0.05, -0.02)
-    depth = Rasteriser(mesh.faces, CAMERA).render(vertices).depth
+    depth = Rasterizer(mesh.faces, CAMERA).render(vertices).depth
     seen = np.isfinite(depth) & (rng.random(depth.shape) > 0.02)
     depth = np.where(seen, depth + rng.normal(scale=1e-3, size=depth.shape), 0.0)
     return thin(CAMERA.back_project(depth, seen), 0.004)

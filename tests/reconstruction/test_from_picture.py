@@ -7,7 +7,7 @@ import pytest
 
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.first_mesh import front_up, laid_flat
 from clothtrack.reconstruction.from_picture import (
@@ -30,7 +30,7 @@ def picture():
     """A towel, wider than long in its own coordinates, on a table at 10 cm."""
     mesh = garment("towel", vertex_count=300, size_m=(0.2, 0.3))
     vertices = mesh.vertices + (0.02, -0.01, 0.1015)
-    drawn = Rasteriser(mesh.faces, CAMERA).render(vertices).depth
+    drawn = Rasterizer(mesh.faces, CAMERA).render(vertices).depth
     seen = np.isfinite(drawn)
     return DepthInput(np.where(seen, drawn, 0.0), seen, CAMERA, TABLE, "towel")
 

@@ -81,14 +81,14 @@ def test_two_foldings_of_one_picture_become_two_hypotheses(drawn: TokenExample, 
     # The same picture shows the cloth with one half 0.3 sides higher, or with the other.
     half = drawn.features[:, 0] > 0.0
     lifted = [drawn.places + 0.3 * np.outer(up, [0.0, 0.0, 1.0]) for up in (half, ~half)]
-    only = {"labellings": drawn.labellings[:1], "is_labelling": drawn.is_labelling[:1]}
+    only = {"labelings": drawn.labelings[:1], "is_labeling": drawn.is_labeling[:1]}
     only["conventional"] = drawn.conventional[:1]
     both = collate_tokens([replace(drawn, places=p.astype(np.float32), **only) for p in lifted])
-    optimiser = torch.optim.Adam(network.parameters(), 1e-2)
+    optimizer = torch.optim.Adam(network.parameters(), 1e-2)
     for _ in range(60):
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         stage(both)["loss"].backward()
-        optimiser.step()
+        optimizer.step()
     with torch.no_grad():
         measured = stage.measure(both)
         likelihoods = network(both.asked).choice.softmax(-1)

@@ -14,10 +14,10 @@ from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
+from clothtrack.geometry.visibility import Rasterizer
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
-    LabelledRecording,
+    LabeledRecording,
     PseudoLabel,
     label_recording,
     projected_faces,
@@ -45,7 +45,7 @@ def folded(gap_m=0.006):
 
 
 def perfect_picture(positions, faces=TOWEL.faces):
-    drawn = Rasteriser(faces, CAMERA).render(positions)
+    drawn = Rasterizer(faces, CAMERA).render(positions)
     seen = drawn.faces >= 0
     return np.where(seen, drawn.depth, 0.7).astype(np.float32), seen, drawn.faces
 
@@ -90,7 +90,7 @@ def recording(tmp_path):
     return read_recording(folder), (flat, folded())
 
 
-def labelled(recording):
+def labeled(recording):
     source, states = recording
     labels = [PseudoLabel(number, positions) for number, positions in enumerate(states)]
     return label_recording(source, TOWEL, labels, kind="towel", provenance={"mode": "default"})
@@ -149,7 +149,7 @@ def test_the_verb_leaves_out_what_a_person_rejected(recording, tracked, tmp_path
 
 
 def test_labels_come_back_from_the_disk(recording, tmp_path):
-    written = labelled(recording)
+    written = labeled(recording)
     path = tmp_path / "fold.labels.npz"
     write_labels(written, path)
     found = read_labels(path)
@@ -166,7 +166,7 @@ def test_labels_come_back_from_the_disk(recording, tmp_path):
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
 def test_truncated_labels_are_refused(recording, tmp_path, share):
     path = tmp_path / "fold.labels.npz"
-    write_labels(labelled(recording), path)
+    write_labels(labeled(recording), path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(InvalidResultError, match="not whole pseudo-labels"):
@@ -175,7 +175,7 @@ def test_truncated_labels_are_refused(recording, tmp_path, share):
 
 def test_a_damaged_chunk_is_noticed(recording, tmp_path):
     path = tmp_path / "fold.labels.npz"
-    write_labels(labelled(recording), path)
+    write_labels(labeled(recording), path)
     content = bytearray(path.read_bytes())
     place = content.index(b"depth_m.npy") + 200
     content[place] ^= 0xFF
@@ -188,7 +188,7 @@ def test_a_replaced_array_is_noticed_and_labels_without_digests_are_read(
     recording, tmp_path, caplog
 ):
     path = tmp_path / "fold.labels.npz"
-    write_labels(labelled(recording), path)
+    write_labels(labeled(recording), path)
     with np.load(path) as file:
         arrays = dict(file)
     moved = arrays["1/positions"].copy()
@@ -210,7 +210,7 @@ def test_a_replaced_array_is_noticed_and_labels_without_digests_are_read(
 
 
 def test_positions_that_are_no_meters_are_refused(recording, tmp_path):
-    one = labelled(recording)
+    one = labeled(recording)
     far = replace(one.pictures[0], positions=one.pictures[0].positions + 1e30)
     path = tmp_path / "fold.labels.npz"
     write_labels(replace(one, frames=(0,), pictures=(far,)), path)
@@ -241,12 +241,12 @@ def test_hostile_labels_run_nothing(tmp_path, wrapped):
 
 def test_labels_that_do_not_fit_their_mesh_are_refused(recording, tmp_path):
     path = tmp_path / "fold.labels.npz"
-    one = labelled(recording)
+    one = labeled(recording)
     picture = one.pictures[0]
-    wrong = LabelledPicture(
+    wrong = LabeledPicture(
         picture.depth_m, picture.mask, CAMERA, picture.faces + 10_000, picture.positions
     )
-    write_labels(LabelledRecording("fold", "towel", TOWEL, (0,), (wrong,)), path)
+    write_labels(LabeledRecording("fold", "towel", TOWEL, (0,), (wrong,)), path)
     with pytest.raises(InvalidResultError, match="shows face"):
         read_labels(path)
 

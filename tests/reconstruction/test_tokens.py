@@ -13,7 +13,7 @@ from clothtrack.garments.garment_meshes import garment, one_layer, shirt, trouse
 from clothtrack.garments.outlines import ShirtOutline, TrousersOutline, draw_sweater
 from clothtrack.garments.triangulation import Span
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.rendered_states import render
@@ -24,7 +24,7 @@ from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.tokens.garment_tokens import TOKENS, GarmentTokens
 from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_examples import (
-    LabelledTokenExamples,
+    LabeledTokenExamples,
     TokenExamples,
     token_example,
     with_parts_missing,
@@ -120,9 +120,9 @@ def test_a_vertex_is_where_its_shares_of_the_tokens_are(told) -> None:
     np.testing.assert_allclose(tokens.vertex_shares.sum(axis=1), 1.0, atol=1e-6)
 
 
-def test_labellings_are_those_under_which_the_garment_looks_the_same(told) -> None:
+def test_labelings_are_those_under_which_the_garment_looks_the_same(told) -> None:
     name, _, tokens = told
-    rows = tokens.labellings[tokens.is_labelling]
+    rows = tokens.labelings[tokens.is_labeling]
     assert len(rows) == {"square": 8, "rectangle": 4}.get(name, 2)
     np.testing.assert_array_equal(rows[0], np.arange(TOKENS))
     flat, side = tokens.canonical[:, :2], tokens.features[:, 2]
@@ -136,7 +136,7 @@ def test_labellings_are_those_under_which_the_garment_looks_the_same(told) -> No
 
 
 @pytest.mark.parametrize(
-    ("corners", "labellings", "mirrored"),
+    ("corners", "labelings", "mirrored"),
     [
         ([(0, 0), (1, 0), (1, 1), (0, 1)], 8, True),
         ([(0, 0), (1, 0), (1, 0.6), (0, 0.6)], 4, True),
@@ -148,13 +148,13 @@ def test_labellings_are_those_under_which_the_garment_looks_the_same(told) -> No
     ],
 )
 def test_an_outline_has_its_own_symmetries(
-    corners: list[tuple[float, float]], labellings: int, mirrored: bool
+    corners: list[tuple[float, float]], labelings: int, mirrored: bool
 ) -> None:
     ends = np.array(corners, float)
     spans = [Span(np.stack(pair)) for pair in zip(ends, np.roll(ends, -1, axis=0), strict=True)]
     tokens = GarmentTokens.of(one_layer(spans, vertex_count=600))
-    rows = tokens.labellings[tokens.is_labelling]
-    assert len(rows) == labellings
+    rows = tokens.labelings[tokens.is_labeling]
+    assert len(rows) == labelings
     flat = tokens.canonical[:, :2]
     gaps = np.linalg.norm(flat[:, None] - flat[None], axis=2)
     for row in [*rows, tokens.mirror]:
@@ -224,7 +224,7 @@ def test_the_loss_does_not_ask_which_of_two_look_alikes_it_is(told) -> None:
     network.examples.fill_(HARDENING_EXAMPLES)
     stage = TokenStage(network).eval()
     drawn = example(mesh, tokens, 5)
-    for row in tokens.labellings[tokens.is_labelling]:
+    for row in tokens.labelings[tokens.is_labeling]:
         places = drawn.places.copy()
         places[row] = drawn.places
         other = replace(drawn, pixel_tokens=row[drawn.pixel_tokens], places=places)
@@ -318,7 +318,7 @@ def test_one_network_learns_from_towels_and_shirts_and_goes_on_to_the_same_bits(
     assert further.stages["tokens"].best_score <= outcome.best_score
 
 
-def _labelled(mesh: ClothMesh, name: str, table_m: float = 0.0) -> LabelledRecording:
+def _labeled(mesh: ClothMesh, name: str, table_m: float = 0.0) -> LabeledRecording:
     """Two pictures of a flat garment on a table of some height."""
     up = np.array([0.0, 0.0, table_m])
     lying = np.asarray(mesh.vertices, float)
@@ -330,13 +330,13 @@ def _labelled(mesh: ClothMesh, name: str, table_m: float = 0.0) -> LabelledRecor
         pose[:3, 3] += up
         camera = replace(drawn.camera, world_from_camera=pose)
         pictures.append(replace(drawn, camera=camera, positions=lying + up))
-    return LabelledRecording(name, "any", mesh.with_vertices(lying + up), (0, 1), tuple(pictures))
+    return LabeledRecording(name, "any", mesh.with_vertices(lying + up), (0, 1), tuple(pictures))
 
 
 def test_a_label_is_seen_from_its_own_table() -> None:
     mesh = meshes()["rectangle"]
     low, high = (
-        LabelledTokenExamples([_labelled(mesh, "one", table_m)], TINY, seed=4)[1, 2]
+        LabeledTokenExamples([_labeled(mesh, "one", table_m)], TINY, seed=4)[1, 2]
         for table_m in (0.0, 0.3)
     )
     np.testing.assert_allclose(low.height, high.height, atol=1e-6)
@@ -345,7 +345,7 @@ def test_a_label_is_seen_from_its_own_table() -> None:
 
 
 def test_parts_of_a_label_are_missing_now_and_then() -> None:
-    (picture, _) = _labelled(meshes()["rectangle"], "one").pictures
+    (picture, _) = _labeled(meshes()["rectangle"], "one").pictures
     rising = picture.depth_m - 0.1 * np.arange(picture.depth_m.shape[0])[:, None] / 100
     picture = replace(picture, depth_m=rising)
     measured = picture.mask & (picture.depth_m > 0)
@@ -371,13 +371,13 @@ def test_the_short_recipe_rises_high_and_falls_once() -> None:
 
 def test_a_label_that_lies_beside_its_picture_is_left_out() -> None:
     mesh = meshes()["rectangle"]
-    right = _labelled(mesh, "one")
+    right = _labeled(mesh, "one")
     beside = replace(right.pictures[1], positions=right.pictures[1].positions + [0.3, 0.0, 0.0])
     mixed = replace(right, pictures=(right.pictures[0], beside))
-    assert len(LabelledTokenExamples([right], TINY)) == 2
-    assert len(LabelledTokenExamples([mixed], TINY)) == 1
-    with pytest.raises(InvalidConfigError, match="no labelled picture whose mesh lies where"):
-        LabelledTokenExamples([replace(right, pictures=(beside,))], TINY)
+    assert len(LabeledTokenExamples([right], TINY)) == 2
+    assert len(LabeledTokenExamples([mixed], TINY)) == 1
+    with pytest.raises(InvalidConfigError, match="no labeled picture whose mesh lies where"):
+        LabeledTokenExamples([replace(right, pictures=(beside,))], TINY)
 
 
 @pytest.mark.slow
@@ -385,7 +385,7 @@ def test_labels_teach_the_token_network(folders: list[Path], tmp_path: Path) -> 
     sets = [open_states(folder) for folder in folders]
     start = load_weights(pretrain_tokens(sets, _learning(), tmp_path / "start").model)
     mesh = meshes()["rectangle"]
-    labels = [_labelled(mesh, name) for name in ("one", "two", "three")]
+    labels = [_labeled(mesh, name) for name in ("one", "two", "three")]
     config = _learning(epochs=20, high_rate=3e-3).mixing(0.2)
     with pytest.raises(InvalidConfigError, match="no old states"):
         finetune_tokens(start, labels, config, tmp_path / "none")

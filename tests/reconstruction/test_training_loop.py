@@ -90,8 +90,8 @@ def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     first, second = progress_of(whole), progress_of(broken)
     assert first["step"] == second["step"] == STEPS
     assert_same_bits(first["weights"], second["weights"])
-    for number, state in first["optimiser"]["state"].items():
-        assert_same_bits(state, second["optimiser"]["state"][number])
+    for number, state in first["optimizer"]["state"].items():
+        assert_same_bits(state, second["optimizer"]["state"][number])
     best = [load_weights(folder / "best.safetensors").tensors for folder in (whole, broken)]
     assert_same_bits(*best)
     assert without_time(whole) == without_time(broken)

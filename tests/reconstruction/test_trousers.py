@@ -12,7 +12,7 @@ from clothtrack.cli import command_line as cli
 from clothtrack.garments.garment_meshes import trousers
 from clothtrack.garments.outlines import TrousersOutline
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.cuts import cuts, sized
 from clothtrack.reconstruction.tokens.token_learning import KIND, PREFIX
@@ -56,7 +56,7 @@ def drawn(flat):
     layer = 0.005 + 0.002 * np.sign(flat.canonical[:, 2])
     level = flat.vertices[:, :2] * np.where(left, -1.0, 1.0)[:, None] ** (1, 0)
     folded = np.column_stack([level, np.where(left, 0.02 - layer, layer)])
-    depth = Rasteriser(flat.faces, CAMERA).render(folded).depth
+    depth = Rasterizer(flat.faces, CAMERA).render(folded).depth
     return np.where(np.isfinite(depth), depth, 1.0), np.isfinite(depth)
 
 

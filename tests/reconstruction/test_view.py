@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of, view_camera
 from clothtrack_lab.published_networks.network_config import preset
 
@@ -34,7 +34,7 @@ def bumpy_towel():
 
 
 def picture(mesh, camera):
-    depth = Rasteriser(mesh.faces, camera).render(mesh.vertices).depth
+    depth = Rasterizer(mesh.faces, camera).render(mesh.vertices).depth
     return np.where(np.isfinite(depth), depth, 0.0)
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.mesh_gap import mesh_gap_m
@@ -66,8 +66,8 @@ def towel_film(tmp_path_factory):
 
 def drawn(folder, eye):
     ground = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
-    table = Rasteriser(np.array([[0, 1, 2], [0, 2, 3]]), eye).render(ground).depth
-    draw = Rasteriser(towel(0.0).faces, eye)
+    table = Rasterizer(np.array([[0, 1, 2], [0, 2, 3]]), eye).render(ground).depth
+    draw = Rasterizer(towel(0.0).faces, eye)
     with RecordingWriter(
         folder,
         [eye],

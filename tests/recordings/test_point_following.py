@@ -129,7 +129,7 @@ def turned(picture, degrees):
     return cv2.warpAffine(picture, turn, size, flags=cv2.INTER_CUBIC), turn
 
 
-def test_a_print_that_was_covered_is_recognised_where_it_has_turned_to(tmp_path):
+def test_a_print_that_was_covered_is_recognized_where_it_has_turned_to(tmp_path):
     still = printed()
     after, turn = turned(still, 40.0)
     masks = np.zeros((3, HEIGHT, WIDTH), bool)
@@ -167,7 +167,7 @@ def weave(shift_px=(0.0, 0.0)):
     return 120.0 + 20.0 * (np.cos(across * 2.0 * np.pi / 11) + np.cos(down * 2.0 * np.pi / 11))
 
 
-def test_a_weave_is_followed_and_not_recognised(tmp_path):
+def test_a_weave_is_followed_and_not_recognized(tmp_path):
     """What looks alike everywhere comes back under new numbers only."""
     masks = np.ones((4, HEIGHT, WIDTH), bool)
     masks[1] = False
@@ -180,7 +180,7 @@ def test_a_weave_is_followed_and_not_recognised(tmp_path):
 
 
 def test_a_weave_that_a_tool_covered_comes_back_under_its_numbers(tmp_path):
-    """It cannot be recognised; where it went, those beside it tell."""
+    """It cannot be recognized; where it went, those beside it tell."""
     masks = np.ones((7, HEIGHT, WIDTH), bool)
     masks[2:5, :, 40:70] = False
     shifts = [np.array([1.5, 0.5]) * index for index in range(7)]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from clothtrack.recordings.recognition import LEAST_RECOGNISED, KeyPoints, Recogniser
+from clothtrack.recordings.recognition import LEAST_RECOGNIZED, KeyPoints, Recognizer
 
 HEIGHT, WIDTH = 120, 160
 EVERYWHERE = np.ones((HEIGHT, WIDTH), bool)
@@ -22,9 +22,9 @@ def flat(points):
 
 
 def remembering(seen):
-    recogniser = Recogniser()
-    recogniser.remember(np.arange(len(seen)), seen, flat(seen))
-    return recogniser
+    recognizer = Recognizer()
+    recognizer.remember(np.arange(len(seen)), seen, flat(seen))
+    return recognizer
 
 
 @pytest.mark.parametrize("period_px", [9, 11, 13, 16])
@@ -44,37 +44,37 @@ def test_key_points_are_of_the_marked_part_only():
     assert pixels[:, 0].max() < WIDTH // 2
 
 
-def test_a_print_is_recognised_and_another_is_not():
+def test_a_print_is_recognized_and_another_is_not():
     seen, other = KeyPoints.of(printed(), EVERYWHERE), KeyPoints.of(printed(7), EVERYWHERE)
-    recogniser = remembering(seen)
-    assert recogniser.sees_print
-    np.testing.assert_array_equal(recogniser.recognised(seen, flat(seen)), np.arange(len(seen)))
-    assert (recogniser.recognised(other, flat(other)) == -1).all()
+    recognizer = remembering(seen)
+    assert recognizer.sees_print
+    np.testing.assert_array_equal(recognizer.recognized(seen, flat(seen)), np.arange(len(seen)))
+    assert (recognizer.recognized(other, flat(other)) == -1).all()
 
 
-def test_what_is_farther_apart_than_cloth_can_stretch_is_not_recognised():
+def test_what_is_farther_apart_than_cloth_can_stretch_is_not_recognized():
     seen = KeyPoints.of(printed(), EVERYWHERE)
-    recogniser, places = remembering(seen), flat(seen)
+    recognizer, places = remembering(seen), flat(seen)
     places[7] += [0.0, 0.0, 1.0]
-    numbers = recogniser.recognised(seen, places)
+    numbers = recognizer.recognized(seen, places)
     assert numbers[7] == -1
     assert (numbers >= 0).sum() == len(seen) - 1
-    assert (recogniser.recognised(seen, 2.0 * flat(seen)) == -1).all()
+    assert (recognizer.recognized(seen, 2.0 * flat(seen)) == -1).all()
 
 
 def test_the_oldest_number_is_kept():
     seen = KeyPoints.of(printed(), EVERYWHERE)
-    recogniser = remembering(seen)
-    recogniser.remember(1000 + np.arange(len(seen)), seen, flat(seen))
-    assert recogniser.recognised(seen, flat(seen)).max() < 1000
+    recognizer = remembering(seen)
+    recognizer.remember(1000 + np.arange(len(seen)), seen, flat(seen))
+    assert recognizer.recognized(seen, flat(seen)).max() < 1000
 
 
 def test_a_first_picture_without_a_print_settles_it():
     seen = KeyPoints.of(printed(), EVERYWHERE)
-    few = np.arange(len(seen)) < LEAST_RECOGNISED - 1
-    recogniser = remembering(seen[few])
-    recogniser.remember(np.arange(len(seen)), seen, flat(seen))
-    assert not recogniser.sees_print
+    few = np.arange(len(seen)) < LEAST_RECOGNIZED - 1
+    recognizer = remembering(seen[few])
+    recognizer.remember(np.arange(len(seen)), seen, flat(seen))
+    assert not recognizer.sees_print
 
 
 def test_a_picture_without_anything_has_no_key_points():
@@ -82,6 +82,6 @@ def test_a_picture_without_anything_has_no_key_points():
     nothing = KeyPoints.of(plain, EVERYWHERE)
     assert len(nothing) == 0
     assert (
-        len(remembering(KeyPoints.of(printed(), EVERYWHERE)).recognised(nothing, flat(nothing)))
+        len(remembering(KeyPoints.of(printed(), EVERYWHERE)).recognized(nothing, flat(nothing)))
         == 0
     )

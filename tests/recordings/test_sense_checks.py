@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.corrected_copy import write_corrected
 from clothtrack.recordings.geometry_checks import corrections as put_right
 from clothtrack.recordings.geometry_checks.action_checks import action_findings
@@ -84,8 +84,8 @@ def film(tmp_path_factory):
 def drawn(folder):
     eye, rng = camera(), np.random.default_rng(1)
     ground = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
-    table = Rasteriser(np.array([[0, 1, 2], [0, 2, 3]], np.int32), eye).render(ground).depth
-    draw = Rasteriser(towel(0.0).faces, eye)
+    table = Rasterizer(np.array([[0, 1, 2], [0, 2, 3]], np.int32), eye).render(ground).depth
+    draw = Rasterizer(towel(0.0).faces, eye)
     tips = np.stack([tip_at(frame) for frame in range(FRAMES)])
     with RecordingWriter(
         folder,
@@ -97,7 +97,7 @@ def drawn(folder):
         for frame in range(FRAMES):
             cloth = draw.render(towel(progress_at(frame)).vertices).depth
             vertices, faces = hand(tips[frame])
-            arm = Rasteriser(faces, eye).render(vertices).depth
+            arm = Rasterizer(faces, eye).render(vertices).depth
             depth = np.minimum(np.minimum(table, cloth), arm)
             color = np.full((240, 320, 3), WOOD, np.uint8)
             color[cloth < table] = BLUE

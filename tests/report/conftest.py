@@ -9,7 +9,7 @@ import pytest
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.recording import (
     ClothDescription,
     Frame,
@@ -126,7 +126,7 @@ def one_frame(tracked: TrackedTrajectory) -> TrackedTrajectory:
 def _write_views(
     folder: Path, camera: Camera, step: int, vertices: np.ndarray, faces: np.ndarray
 ) -> dict[str, dict[str, Path]]:
-    buffer = Rasteriser(faces, camera).render(vertices)
+    buffer = Rasterizer(faces, camera).render(vertices)
     cloth = buffer.faces >= 0
     color = np.where(cloth[..., None], (40, 60, 190), (150, 160, 165)).astype(np.uint8)
     depth = np.where(cloth, 1000 * np.where(cloth, buffer.depth, 0.0), 0.0).astype(np.uint16)

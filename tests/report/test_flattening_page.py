@@ -1,4 +1,4 @@
-"""The page of an episode: offline, labelled, and true to what happened."""
+"""The page of an episode: offline, labeled, and true to what happened."""
 
 import json
 import re

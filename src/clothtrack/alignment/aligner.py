@@ -1,7 +1,7 @@
 """Test-time optimization: the small correction of every vertex that explains the cloud.
 
 This is the paper's TTO1 (before the pseudo-action, Eq. 1 and 2) and TTO2 (after the last frame):
-a displacement per vertex, starting at zero, that minimises the mean squared distance of the cloud
+a displacement per vertex, starting at zero, that minimizes the mean squared distance of the cloud
 to the visible vertices plus a rigidity that carries hidden vertices along. Two terms are ours:
 visible vertices look for the cloud as well, and edges keep the rest length of the first mesh.
 """

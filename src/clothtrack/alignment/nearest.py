@@ -153,7 +153,7 @@ class Matcher:
         self.partner = wp.full(vertices, -1, dtype=wp.int32, device=device)
         self.progress = kernels.Progress()
         self.progress.iteration = wp.full(1, -1, dtype=wp.int32, device=device)
-        self.progress.travelled = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
+        self.progress.traveled = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
         self.progress.step = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
         self.progress.stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.next_stale = wp.zeros(1, dtype=wp.float32, device=device)

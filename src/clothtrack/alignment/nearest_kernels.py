@@ -57,7 +57,7 @@ class Grid:
 class Progress:
     """What lives on the device while the solver runs: arrays of one, and one entry per cell.
 
-    `travelled` [m] bounds per cell of the vertices' grid the way of any vertex in it or beside it
+    `traveled` [m] bounds per cell of the vertices' grid the way of any vertex in it or beside it
     since the start: the sum over the iterations of the longest step, `step` being the present one.
     `stale` [m] is how far any vertex is from where the grid has it, `next_stale` the same after the
     present step. `decays` holds 0.9 and 0.999 to the power of the number of iterations begun
@@ -65,7 +65,7 @@ class Progress:
     """
 
     iteration: wp.array(dtype=wp.int32)
-    travelled: wp.array(dtype=wp.float32)
+    traveled: wp.array(dtype=wp.float32)
     step: wp.array(dtype=wp.float32)
     stale: wp.array(dtype=wp.float32)
     next_stale: wp.array(dtype=wp.float32)
@@ -197,7 +197,7 @@ def _search_far(
 def advance(progress: Progress):
     """Start the next iteration, a thread per cell: add up the way, forget the partners' count."""
     cell = wp.tid()
-    progress.travelled[cell] = progress.travelled[cell] + progress.step[cell]
+    progress.traveled[cell] = progress.traveled[cell] + progress.step[cell]
     progress.step[cell] = 0.0
     if cell > 0:
         return
@@ -252,7 +252,7 @@ def _match_point(
     if before >= 0:
         offset = positions[before] - point
         distance = wp.length(offset)
-        search = distance + progress.travelled[cells[number]] + _ROUNDING > limit[number]
+        search = distance + progress.traveled[cells[number]] + _ROUNDING > limit[number]
     else:
         cells[number] = _cell_of(grid, point)
     if search:
@@ -262,7 +262,7 @@ def _match_point(
         else:
             found = _search(point, positions, grid, distance + reach, stale)
         others = wp.min(found.others, _SURELY_BESIDE / grid.cells_per_meter)
-        limit[number] = others + progress.travelled[cells[number]]
+        limit[number] = others + progress.traveled[cells[number]]
         vertex = found.item
         if vertex != before and vertex >= 0:
             x = wp.int64(point[0] * _LENGTH)
@@ -308,7 +308,7 @@ def match_points(
         reach: how far beyond the neighbor a search looks [m].
         nearest: vertex per point, -1 before the first search.
         cells: the grid's cell in which each point lies.
-        limit: distance of the runner-up when it was searched, and `travelled` there then [m].
+        limit: distance of the runner-up when it was searched, and `traveled` there then [m].
         pulled_count: cloud points per vertex.
         pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
         sums: row of this iteration, column 0: summed squared residuals, fixed point.

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
 
@@ -58,8 +58,8 @@ class _Outline:
             seen = shown = cloud_picture(observation.points, camera)
             if (hidden := observation.hidden.get(camera.name)) is not None:
                 shown = seen & ~hidden
-            rasteriser = Rasteriser(mesh.faces, camera, device=device)
-            self._views.append((rasteriser, seen, shown, hidden, int(np.count_nonzero(shown))))
+            rasterizer = Rasterizer(mesh.faces, camera, device=device)
+            self._views.append((rasterizer, seen, shown, hidden, int(np.count_nonzero(shown))))
 
     def gap(self, vertices: Float[np.ndarray, "vertices 3"]) -> float:
         """Return the `silhouette_gap` of the mesh with these vertices [m]."""
@@ -67,10 +67,10 @@ class _Outline:
         # The cloud may have been cut away there, so that its absence says nothing.
         silent = self._observation.unobservable(vertices)[self._faces].any(axis=1)
         unobservable_face = np.append(silent, False)
-        for rasteriser, seen, shown, hidden, count in self._views:
+        for rasterizer, seen, shown, hidden, count in self._views:
             # Where nothing is drawn, all that is shown is shown alone: there is no need to look.
-            window = rasteriser.window(vertices)
-            faces = rasteriser.faces_within(vertices, window)
+            window = rasterizer.window(vertices)
+            faces = rasterizer.faces_within(vertices, window)
             drawn = (faces >= 0) & (seen[window] | ~unobservable_face[faces])
             if hidden is not None:
                 drawn &= ~hidden[window]

@@ -1,4 +1,4 @@
-"""Look through artefacts: is it readable, is it still what was written, what is wrong with it?"""
+"""Look through artifacts: is it readable, is it still what was written, what is wrong with it?"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def inspect_many(
-    artefacts: Sequence[Path | str],
+    artifacts: Sequence[Path | str],
     *,
     recordings: Path | str | None = None,
     suggest: Path | str | None = None,
@@ -29,7 +29,7 @@ def inspect_many(
     as with another version or on another machine. Exit code 1: something is wrong.
 
     Args:
-        artefacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
+        artifacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
             (.safetensors), folders of states or of the benchmark.
         recordings: the recording, or the folder in which recordings lie by name.
         suggest: folder that gets a copy of the recording, with what is doubtful corrected where
@@ -43,15 +43,15 @@ def inspect_many(
     from clothtrack.files.progress import one_of
     from clothtrack.recordings.inspection import inspect
 
-    if suggest is not None and not (len(artefacts) == 1 and _is_recording(Path(artefacts[0]))):
+    if suggest is not None and not (len(artifacts) == 1 and _is_recording(Path(artifacts[0]))):
         raise InvalidConfigError("--suggest corrects one recording; name one alone")
     found = []
-    for done, artefact in enumerate(map(Path, artefacts)):
-        if _is_recording(artefact):
-            found.append(inspect(artefact, suggest=None if suggest is None else Path(suggest)))
+    for done, artifact in enumerate(map(Path, artifacts)):
+        if _is_recording(artifact):
+            found.append(inspect(artifact, suggest=None if suggest is None else Path(suggest)))
         else:
-            of_all = one_of(progress, done, len(artefacts))
-            found.append(verify(artefact, recordings, progress=of_all))
+            of_all = one_of(progress, done, len(artifacts))
+            found.append(verify(artifact, recordings, progress=of_all))
     return Many(tuple(found))
 
 

@@ -235,8 +235,8 @@ def finetune(
     if old is not None:
         config = config.mixing(_OLD_SHARE)
     old_states = [] if old is None else [open_states(Path(old))]
-    labelled = [read_labels(file) for file in files]
-    learn = partial(design.finetune, start, labelled, config, Path(output), old=old_states)
+    labeled = [read_labels(file) for file in files]
+    learn = partial(design.finetune, start, labeled, config, Path(output), old=old_states)
     return _learn(learn, device, progress)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clothtrack.files.progress import Progress
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.recordings.recording import Recording
-    from clothtrack.report.artefact_pages import IndexEntry
+    from clothtrack.report.artifact_pages import IndexEntry
     from clothtrack.report.live import Report
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -123,27 +123,27 @@ def _shown(
     from clothtrack.recordings.mesh_file import read_vertex_errors
     from clothtrack.recordings.recording import Recording
     from clothtrack.report import live, page
-    from clothtrack.report.artefact_pages import write_mesh_page, write_recording_page
+    from clothtrack.report.artifact_pages import write_mesh_page, write_recording_page
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-    artefact = _opened(thing, recordings)
-    if not isinstance(artefact, TrackedTrajectory) and truth is not None:
+    artifact = _opened(thing, recordings)
+    if not isinstance(artifact, TrackedTrajectory) and truth is not None:
         raise InvalidConfigError(f"--truth: {thing} is not tracked; leave it out")
-    if isinstance(artefact, Recording):
-        return artefact.name, partial(write_recording_page, artefact), None
-    if isinstance(artefact, ClothMesh):
+    if isinstance(artifact, Recording):
+        return artifact.name, partial(write_recording_page, artifact), None
+    if isinstance(artifact, ClothMesh):
         file = Path(thing) if isinstance(thing, Path | str) else None
         name = file.name if file else "mesh"
         errors, verdict = read_vertex_errors(file) if file else None, None
-        if isinstance(artefact, ReconstructedMesh):
-            errors, verdict = artefact.network.spread_m, artefact.verdict
-        write = partial(write_mesh_page, artefact, name, expected_error_m=errors, verdict=verdict)
+        if isinstance(artifact, ReconstructedMesh):
+            errors, verdict = artifact.network.spread_m, artifact.verdict
+        write = partial(write_mesh_page, artifact, name, expected_error_m=errors, verdict=verdict)
         return name, write, None
-    source = recording_of(artefact, recordings if artefact is thing else None)
-    known, review = truth_of(artefact, truth), review_of(artefact)
-    write = partial(page.write_report, artefact, source, truth=known, review=review)
-    path = _review_file(artefact)
-    return artefact.name, write, None if path is None else live.Decisions(review, path)
+    source = recording_of(artifact, recordings if artifact is thing else None)
+    known, review = truth_of(artifact, truth), review_of(artifact)
+    write = partial(page.write_report, artifact, source, truth=known, review=review)
+    path = _review_file(artifact)
+    return artifact.name, write, None if path is None else live.Decisions(review, path)
 
 
 def _require_file_name(html: Path) -> None:
@@ -312,7 +312,7 @@ def _write_folder(
     progress: "Progress | None",
 ) -> Page:
     """Reports of all, and an index; a trajectory that cannot be shown is a line that says why."""
-    from clothtrack.report.artefact_pages import write_index
+    from clothtrack.report.artifact_pages import write_index
 
     entries = []
     for done, path in enumerate(trajectories):
@@ -339,7 +339,7 @@ def _serve_folder(
 ) -> None:
     """An index and the reports, each written when somebody looks at it; the folder stays clean."""
     from clothtrack.evaluation.label_review import review_path
-    from clothtrack.report.artefact_pages import write_index
+    from clothtrack.report.artifact_pages import write_index
     from clothtrack.report.live import Decisions, Report, serve_folder
 
     title = trajectories[0].parent.resolve().name
@@ -367,7 +367,7 @@ def _entry(
 ) -> "tuple[IndexEntry, Run | None]":
     """The line of a trajectory in an index, and the run where it can be read."""
     from clothtrack.api.run import load, recording_of
-    from clothtrack.report.artefact_pages import IndexEntry, summary_of
+    from clothtrack.report.artifact_pages import IndexEntry, summary_of
 
     try:
         run = load(path, recordings)

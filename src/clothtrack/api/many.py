@@ -94,24 +94,24 @@ def label_many(
 
     Raises:
         InvalidConfigError: two trajectories have one name, or another run writes to `output`.
-        ClothTrackError: one cannot be labelled, after all others; or a worker died.
+        ClothTrackError: one cannot be labeled, after all others; or a worker died.
     """
     from clothtrack.api.learning import require_learning
 
     require_learning()
-    from clothtrack.api.work import Labelling, Source
+    from clothtrack.api.work import Labeling, Source
     from clothtrack.files.many_items import attempts, results_of
     from clothtrack.files.output_lock import locked_output
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
 
     paths = _without_twins(tracked)
     options = {"garment": garment, "device": device}
-    work = Labelling(Source(recordings and Path(recordings), paths, options), Path(output))
-    labelled = attempts(
+    work = Labeling(Source(recordings and Path(recordings), paths, options), Path(output))
+    labeled = attempts(
         work, paths, kind="trajectories", workers=workers, ray=ray, device=device,
         progress=progress,
     )  # fmt: skip
-    with locked_output(Path(output)), closing(labelled) as tries:
+    with locked_output(Path(output)), closing(labeled) as tries:
         files = dict(results_of(tries))
     found = []
     for file in (files[path] for path in paths):

@@ -27,7 +27,7 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
+from clothtrack.tracking.artifacts import inside, load_tracked, recording_folder, warn_of_age
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.configuration import mode as settings_of_mode
 from clothtrack.tracking.pipeline import Progress, track_recording
@@ -143,7 +143,7 @@ class Run(TrackedTrajectory):
     def verdict(self) -> Verdict:
         """Trust, look or reject, with the reason and all evidence.
 
-        What was stored with the trajectory; a new judgement for one that was tracked before
+        What was stored with the trajectory; a new judgment for one that was tracked before
         verdicts were stored.
 
         Raises:
@@ -241,7 +241,7 @@ def load(path: Path | str, recording: Recording | Path | str | None = None) -> R
     else:
         folder = recording_folder(tracked, Path(recording))
         source = read_recording(folder)
-        warn_of_age(tracked, source, artefact=path, folder=folder)
+        warn_of_age(tracked, source, artifact=path, folder=folder)
     return Run.of(tracked, source, path)
 
 

@@ -1,4 +1,4 @@
-"""Is a file still what was written? Every artefact, told by its content."""
+"""Is a file still what was written? Every artifact, told by its content."""
 
 import json
 import re
@@ -19,7 +19,7 @@ from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.validation import check_recording
 from clothtrack.recordings.violation import DOCUMENT, grouped
-from clothtrack.tracking.artefacts import inside
+from clothtrack.tracking.artifacts import inside
 from clothtrack.tracking.replay import replay
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -33,7 +33,7 @@ _UNSEALED = "has no SHA-256"
 
 @dataclass(frozen=True)
 class Verification:
-    """What was found of one artefact.
+    """What was found of one artifact.
 
     Attributes:
         path: where it lies.
@@ -70,24 +70,24 @@ class Verification:
 
 
 def verify(
-    artefact: Path | str,
+    artifact: Path | str,
     recording: Path | str | None = None,
     *,
     progress: Progress | None = None,
 ) -> Verification:
-    """Check one artefact against what was written, by its checksums where it has some.
+    """Check one artifact against what was written, by its checksums where it has some.
 
     Of a recording every picture is decoded. Of a tracked trajectory whose recording is given the
     first action is tracked again and compared to the bit, where versions and machine are those that
     tracked it; the notes say where they are not.
 
     Args:
-        artefact: a recording, NAME.zarr, labels or truth (.npz), weights (.safetensors), or a
+        artifact: a recording, NAME.zarr, labels or truth (.npz), weights (.safetensors), or a
             folder of states or of the benchmark.
         recording: of a tracked trajectory: its recording, or the folder in which it lies by name.
         progress: is told how much is done.
     """
-    path = Path(artefact)
+    path = Path(artifact)
     quiet_warp()
     kind = ""
     try:

@@ -17,7 +17,7 @@ from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.recordings.identity import recording_digest
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
+from clothtrack.tracking.artifacts import inside, load_tracked, recording_folder, warn_of_age
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.version import __version__
 
@@ -63,11 +63,11 @@ class Source:
     def tell(self, path: Path, run: Run) -> None:
         """Warn when the recording has changed since; afterwards, as a refusal is one line."""
         source = recording_of(run)
-        warn_of_age(run, source, artefact=path, folder=source.folder)
+        warn_of_age(run, source, artifact=path, folder=source.folder)
 
 
 @dataclass(frozen=True)
-class Labelling:
+class Labeling:
     """Label a run, as `clothtrack.files.many_items.Work`."""
 
     source: Source

@@ -159,7 +159,7 @@ def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
         return 0
     if json:
         document = result.as_dict()
-        # Of one artefact that was inspected, the document is its own.
+        # Of one artifact that was inspected, the document is its own.
         say_result(
             "", document[0] if verb == "inspect" and len(document) == 1 else document, json=True
         )

@@ -113,19 +113,19 @@ def label_evidence(
         InvalidResultError: a label belongs to a frame that the recording does not have.
     """
     evidence = []
-    travelled, previous = 0.0, np.asarray(mesh.vertices, np.float64)
+    traveled, previous = 0.0, np.asarray(mesh.vertices, np.float64)
     for number, label in enumerate(labels, 1):
         if label.frame >= len(recording.frames):
             raise InvalidResultError(
                 f"a label belongs to frame {label.frame}, but {recording.folder} has "
                 f"{len(recording.frames)} frames; give the recording that it was tracked from"
             )
-        travelled += mean_distance(label.vertices, previous)
+        traveled += mean_distance(label.vertices, previous)
         previous = label.vertices
         dense, cloud = _seen(recording, label.frame, segmenter)
         evidence.append(
             mesh_evidence(
-                mesh, label, dense, cloud, travelled_m=travelled, action=number, device=device
+                mesh, label, dense, cloud, travelled_m=traveled, action=number, device=device
             )
         )
     return tuple(evidence)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from clothtrack.alignment.silhouette import cloud_picture
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.point_cloud import Observation
 
 _PIXELS_OF_NOISE = 1.5
@@ -71,7 +71,7 @@ def local_misfit(
     uncovered, unsupported = np.zeros((2, len(vertices)))
     silent = observation.unobservable(vertices)[mesh.faces].any(axis=1)
     for camera in observation.cameras:
-        faces = Rasteriser(mesh.faces, camera, device=device).render(vertices).faces
+        faces = Rasterizer(mesh.faces, camera, device=device).render(vertices).faces
         hidden = observation.hidden.get(camera.name, np.zeros(faces.shape, bool))
         cloth = cloud_picture(observation.points, camera)
         pixel_m = float(np.median(camera.project(observation.points)[1])) / camera.fx

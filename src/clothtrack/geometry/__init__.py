@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from clothtrack.geometry.mesh_distance import distance_to_mesh
     from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
     from clothtrack.geometry.sampling import sample_surface
-    from clothtrack.geometry.visibility import Rasteriser, VisibilityCheck, visible_vertices
+    from clothtrack.geometry.visibility import Rasterizer, VisibilityCheck, visible_vertices
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
     "Camera",
     "ClothMesh",
-    "Rasteriser",
+    "Rasterizer",
     "VisibilityCheck",
     "close_pairs",
     "closest_on_mesh",

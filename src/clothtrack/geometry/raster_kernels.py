@@ -1,6 +1,6 @@
 """Warp kernels of the z-buffer: triangles to pixels, pixels to visible vertices.
 
-Triangles are rasterised in homogeneous form: for a triangle with corners a, b, c in the camera's
+Triangles are rasterized in homogeneous form: for a triangle with corners a, b, c in the camera's
 frame and the viewing ray d of a pixel, the three triple products (a x b).d, (b x c).d, (c x a).d
 have one sign exactly where the ray's line meets the triangle, and the inverse depth there is
 n.d / n.a with n the triangle's normal. All four are linear in the pixel, so the inner loop only

@@ -28,7 +28,7 @@ class DepthBuffer:
     faces: Int[np.ndarray, "height width"]
 
 
-class Rasteriser:
+class Rasterizer:
     """Draws one mesh topology in one camera, again and again, into buffers that it keeps.
 
     Args:
@@ -131,7 +131,7 @@ class VisibilityCheck:
             raise InvalidConfigError(f"tolerance_m is {tolerance_m}; it must be 0 or more")
         self.tolerance_m = tolerance_m
         self.device = device
-        self.rasterisers = [Rasteriser(faces, camera, device=device) for camera in cameras]
+        self.rasterizers = [Rasterizer(faces, camera, device=device) for camera in cameras]
         self._hit = wp.empty(0, dtype=wp.bool, device=device)
         self._visible = wp.empty(0, dtype=wp.bool, device=device)
 
@@ -148,13 +148,13 @@ class VisibilityCheck:
             self._hit = wp.empty(count, dtype=wp.bool, device=self.device)
             self._visible = wp.empty(count, dtype=wp.bool, device=self.device)
         self._visible.zero_()
-        for rasteriser in self.rasterisers:
-            rasteriser.draw(vertices)
+        for rasterizer in self.rasterizers:
+            rasterizer.draw(vertices)
             self._hit.zero_()
             wp.launch(
                 kernels.mark_hit_vertices,
-                dim=-(-len(rasteriser.pixels) // kernels.STRIP_PIXELS),
-                inputs=[rasteriser.pixels, rasteriser.faces],
+                dim=-(-len(rasterizer.pixels) // kernels.STRIP_PIXELS),
+                inputs=[rasterizer.pixels, rasterizer.faces],
                 outputs=[self._hit],
                 device=self.device,
             )
@@ -164,8 +164,8 @@ class VisibilityCheck:
                 inputs=[
                     vertices,
                     self._hit,
-                    rasteriser.kernel_camera,
-                    rasteriser.pixels,
+                    rasterizer.kernel_camera,
+                    rasterizer.pixels,
                     self.tolerance_m,
                 ],
                 outputs=[self._visible],

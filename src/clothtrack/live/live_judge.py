@@ -1,7 +1,7 @@
 """How far to trust the mesh, a few times a second, beside the stream.
 
 The evidence is that of a label (`evaluation.label_evidence`), taken in a smaller picture and with
-fewer points: a judgement takes some 30 ms instead of 150.
+fewer points: a judgment takes some 30 ms instead of 150.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,7 +27,7 @@ _SPACING_M = 0.012
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Judgment:
     """What speaks against a mesh, vertex by vertex.
 
     Attributes:
@@ -41,7 +41,7 @@ class Judgement:
     lost: Bool[np.ndarray, " vertices"]
 
     @classmethod
-    def none(cls, vertices: int) -> "Judgement":
+    def none(cls, vertices: int) -> "Judgment":
         """Return what is known of a mesh before it was judged."""
         return cls(np.nan, np.full(vertices, np.nan), np.zeros(vertices, bool))
 
@@ -58,16 +58,16 @@ class LiveJudge:
         """
         self._mesh, self._device = mesh, device
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-judge")
-        self._busy: Future[Judgement] | None = None
-        self._latest = Judgement.none(mesh.vertex_count)
+        self._busy: Future[Judgment] | None = None
+        self._latest = Judgment.none(mesh.vertex_count)
         self._label = np.asarray(mesh.vertices, np.float64)
         self._shift_m = self._travelled_m = 0.0
         self._actions, self._asked_s = 0, -np.inf
         self._before = self._label, self._travelled_m
 
     @property
-    def latest(self) -> Judgement:
-        """The last judgement.
+    def latest(self) -> Judgment:
+        """The last judgment.
 
         Raises:
             Exception: whatever went wrong with it.
@@ -115,7 +115,7 @@ class LiveJudge:
         self.end_action(before, after)
 
     def wait(self) -> None:
-        """Wait for a judgement that is under way."""
+        """Wait for a judgment that is under way."""
         if self._busy is not None:
             self._busy.exception()
 
@@ -123,7 +123,7 @@ class LiveJudge:
         """End the thread."""
         self._thread.shutdown()
 
-    def _judged(self, time_s: float, label: Label, seen: Observation, way_m: float) -> Judgement:
+    def _judged(self, time_s: float, label: Label, seen: Observation, way_m: float) -> Judgment:
         evidence = mesh_evidence(
             self._mesh, label, _reduced(seen), thin(seen.points, _SPACING_M),
             travelled_m=way_m, action=max(self._actions, 1), device=self._device,
@@ -131,7 +131,7 @@ class LiveJudge:
         assert evidence.misfit is not None
         error_m = shipped_model().expected_error_m(evidence)
         patch_m = evidence.misfit.patch_m
-        return Judgement(time_s, np.maximum(error_m, patch_m), patch_m > FAR_M)
+        return Judgment(time_s, np.maximum(error_m, patch_m), patch_m > FAR_M)
 
 
 def _reduced(seen: Observation) -> Observation:

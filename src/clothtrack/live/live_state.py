@@ -16,9 +16,9 @@ class LiveState:
         frame: number of the picture, from 0; dropped ones count.
         positions: vertices in the world [m], hidden ones included.
         visible: whether the camera sees the vertex.
-        expected_error_m: error to expect of each vertex [m], by the last judgement; NaN before it.
-        lost: vertices that lie more than 15 mm away from what was seen, by the last judgement.
-        judged_s: time of the picture that was judged last [s]; NaN before. A judgement is made
+        expected_error_m: error to expect of each vertex [m], by the last judgment; NaN before it.
+        lost: vertices that lie more than 15 mm away from what was seen, by the last judgment.
+        judged_s: time of the picture that was judged last [s]; NaN before. A judgment is made
             beside the stream, a few times a second.
         acting: whether an action is under way.
         settling: whether the final alignment of the last action is still being made beside the
@@ -27,7 +27,7 @@ class LiveState:
             the stream. The mesh of the first picture between actions that has the answer is the
             better one; an action that begins earlier begins from the one that was tracked live.
         astray: whether the mesh has lost the cloth: a fifth of the vertices is lost, in two
-            judgements. Once no picker holds the cloth, the network is asked for another mesh.
+            judgments. Once no picker holds the cloth, the network is asked for another mesh.
         picker_lag_s: how long after the closed picker the cloth moved in the last action, by the
             times that were given [s]; below 0 where the picker's are late, 0 where nothing speaks
             against them.

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from clothtrack.errors import ClothTrackError
 from clothtrack.files.worker_pool import start_worker
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.live.live_judge import Judgement
+from clothtrack.live.live_judge import Judgment
 from clothtrack.reconstruction.first_mesh import carried_over
 from clothtrack.recordings.geometry_checks.mesh_gap import mesh_gap_m
 from clothtrack.recordings.point_cloud import Observation
@@ -26,7 +26,7 @@ from clothtrack.tracking.configuration import InitialStateConfig
 from clothtrack.tracking.initial_state import InitialState, find_initial_state
 
 LOST_SHARE = 0.2
-"""The mesh has lost the cloth when such a share of its vertices is lost in two judgements."""
+"""The mesh has lost the cloth when such a share of its vertices is lost in two judgments."""
 
 AGAIN_S = 10.0
 """After an answer that was of no use the network is asked again so much later, at the earliest [s].
@@ -75,8 +75,8 @@ class Recovery:
         """Whether the mesh has lost the cloth."""
         return self._in_a_row >= 2
 
-    def look(self, judged: Judgement) -> str:
-        """Take the latest judgement; return what to say where the cloth is lost with it."""
+    def look(self, judged: Judgment) -> str:
+        """Take the latest judgment; return what to say where the cloth is lost with it."""
         if not judged.time_s > self._judged_s:
             return ""
         before, self._judged_s = self.astray, judged.time_s

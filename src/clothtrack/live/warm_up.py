@@ -9,7 +9,7 @@ import numpy as np
 
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.tracking.configuration import InitialStateConfig, ModeName
 from clothtrack.tracking.configuration import mode as settings_of_mode
@@ -35,7 +35,7 @@ def warm_up(make: Callable[..., Any], mode: ModeName, color: bool, device: str) 
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = _HEIGHT_M
     camera = Camera("warm_up", 160, 120, 150.0, 150.0, 79.5, 59.5, pose)
-    drawn = Rasteriser(towel.faces, camera, device=device).render(towel.vertices)
+    drawn = Rasterizer(towel.faces, camera, device=device).render(towel.vertices)
     mask = drawn.faces >= 0
     depth = np.where(mask, drawn.depth, _HEIGHT_M).astype(np.float32)
     noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)

@@ -312,7 +312,7 @@ def _step_row(
 
 
 def improvement(steps: Sequence[dict[str, Any]], key: str = "true_m2") -> list[float]:
-    """Return the normalised improvement per step: (c - c0) / (c_flat - c0) (Sec. IV-B.2).
+    """Return the normalized improvement per step: (c - c0) / (c_flat - c0) (Sec. IV-B.2).
 
     Args:
         steps: rows of an episode.

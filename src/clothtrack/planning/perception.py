@@ -1,7 +1,7 @@
 """Where the cloth is, before each action: the network, the tracker, or a named control.
 
 Perceptions use recordings and weights only, except the control `truth`: it gets the true cloth from
-a simulated robot, and all its results are labelled "control".
+a simulated robot, and all its results are labeled "control".
 """
 
 import logging
@@ -247,7 +247,7 @@ class _ControlPerception:
         self._true_cloth = true_cloth
 
     def perceive(self, look: Look) -> Estimate:
-        """Return the truth, labelled as a control."""
+        """Return the truth, labeled as a control."""
         del look
         flat, positions = self._true_cloth()
         return Estimate(flat, np.array(positions), "control: truth")

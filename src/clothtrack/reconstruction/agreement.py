@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.point_cloud import thin
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
     """Return how a mesh agrees with a picture: it is rendered into the picture's own camera."""
     camera = picture.camera
     vertices = np.asarray(mesh.vertices, np.float64)
-    depth = Rasteriser(mesh.faces, camera).render(vertices).depth
+    depth = Rasterizer(mesh.faces, camera).render(vertices).depth
     covered = np.isfinite(depth)
     union = int((covered | picture.mask).sum())
     iou = float((covered & picture.mask).sum() / union) if union else 0.0

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import rankdata
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.seen_cloth import SeenCloth
 
 OUTLINE, SURFACE, TENSION, LAYERS, BENDING = 1.0, 1.0, 2.0, 0.05, 0.005
@@ -77,12 +77,12 @@ class Explainer:
 
     def __init__(self, rest: ClothMesh, cloth: SeenCloth, *, device: str = "cpu") -> None:
         self._rest, self._cloth = rest, cloth
-        self._rasteriser = Rasteriser(rest.faces, cloth.camera, device=device)
+        self._rasterizer = Rasterizer(rest.faces, cloth.camera, device=device)
 
     def __call__(self, vertices: Float[np.ndarray, "vertices 3"]) -> Explanation:
         """How well the garment with these vertices [m] explains what was seen."""
         cloth, rest = self._cloth, self._rest
-        depth = self._rasteriser.render(vertices).depth
+        depth = self._rasterizer.render(vertices).depth
         drawn, seen = np.isfinite(depth), cloth.seen
         # Where nothing could have been seen, a mesh may lie or not.
         against = drawn & (seen | ~cloth.free)

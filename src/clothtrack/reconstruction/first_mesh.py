@@ -22,7 +22,7 @@ _SYMMETRIES = {
 def symmetries(kind: str) -> Float[np.ndarray, "symmetries 3"]:
     """Signs of x, y and z about the origin that relabel the cloth as a look-alike.
 
-    The first one changes nothing. Each is a turn of the canonical pose by half, so the relabelled
+    The first one changes nothing. Each is a turn of the canonical pose by half, so the relabeled
     cloth is a garment of the same category; which of them it is cannot be told from depth.
 
     A towel has its longer side along x: a quarter turn is none of them.

@@ -24,7 +24,7 @@ from clothtrack.recordings.optical_flow import (
     moved_with,
 )
 from clothtrack.recordings.point_cloud import FollowedPoints
-from clothtrack.recordings.recognition import KeyPoints, Recogniser
+from clothtrack.recordings.recognition import KeyPoints, Recognizer
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, bounds_of
 
@@ -250,7 +250,7 @@ class _Follower:
 
     def __init__(self, camera: Camera, numbers: Iterator[int]) -> None:
         self._camera, self._numbers = camera, numbers
-        self._recogniser = Recogniser()
+        self._recognizer = Recognizer()
         self._before: _Picture | None = None
         self._points = NumberedPoints.none()
         self._lost: list[_Lost] = []
@@ -268,7 +268,7 @@ class _Follower:
             self._carry(self._before, picture, frame)
         unknown = None
         if choose or ends or frame % _LOOK_AGAIN == 0:
-            unknown = self._recognise(picture)
+            unknown = self._recognize(picture)
         self._look_again(picture, None if choose or ends else frame)
         if choose:
             self._choose(picture, unknown)
@@ -289,12 +289,12 @@ class _Follower:
         lost = _Lost(frame, before.even, old, old.numbers, old.pixels).without(self._points)
         self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-_KEPT_PICTURES:]
 
-    def _recognise(self, picture: _Picture) -> KeyPoints | None:
+    def _recognize(self, picture: _Picture) -> KeyPoints | None:
         """Add points of a print that were lost; returns its key points that are not known."""
-        if not self._recogniser.sees_print:
+        if not self._recognizer.sees_print:
             return None
         seen = KeyPoints.of(picture.gray, picture.clear)
-        numbers = self._recogniser.recognised(seen, picture.in_world(seen.pixels, self._camera))
+        numbers = self._recognizer.recognized(seen, picture.in_world(seen.pixels, self._camera))
         known = numbers >= 0
         back = NumberedPoints.fresh(numbers[known], seen.pixels[known])
         self._points = self._points.together_with(back[~back.are_in(self._points)])
@@ -320,12 +320,12 @@ class _Follower:
 
     def _choose(self, picture: _Picture, unknown: KeyPoints | None) -> None:
         """Add points; from now on each has to stay near those that are beside it here."""
-        points, knows = self._points, self._recogniser.knows
+        points, knows = self._points, self._recognizer.knows
         if unknown is not None:
             numbers = self._new_numbers(len(unknown))
             positions = picture.in_world(unknown.pixels, self._camera)
-            self._recogniser.remember(numbers, unknown, positions)
-            if self._recogniser.sees_print:
+            self._recognizer.remember(numbers, unknown, positions)
+            if self._recognizer.sees_print:
                 points = points.together_with(NumberedPoints.fresh(numbers, unknown.pixels))
         noise = picture.noise_since(self._before)
         fresh = _chosen(picture, noise, points.pixels[~knows(points.numbers)])

@@ -1,9 +1,9 @@
-"""Points of a print that are recognised after they were lost: under a tool, in a fold, too fast.
+"""Points of a print that are recognized after they were lost: under a tool, in a fold, too fast.
 
 What lies around a point is described so that turning, moving and lighting the cloth hardly change
 it (D. Lowe, "Distinctive image features from scale-invariant keypoints",
 doi:10.1023/B:VISI.0000029664.99615.94; OpenCV's SIFT), and looked for in later pictures. A weave
-looks alike everywhere, and is not recognised.
+looks alike everywhere, and is not recognized.
 """
 
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ _TOO_FAR = 0.25
 """No more than this share of them may be too far away: where a part of the print is elsewhere, half
 of them are nearer than they were."""
 
-LEAST_RECOGNISED = 30
-"""Cloth with fewer key points in the first picture has no print, and fewer that are recognised
+LEAST_RECOGNIZED = 30
+"""Cloth with fewer key points in the first picture has no print, and fewer that are recognized
 together may be alike by chance: folds look like a print, too."""
 
 
@@ -83,7 +83,7 @@ class _Remembered:
     positions: Float[np.ndarray, "points 3"]
 
 
-class Recogniser:
+class Recognizer:
     """Remembers key points by number, and finds them again."""
 
     def __init__(self) -> None:
@@ -92,8 +92,8 @@ class Recogniser:
 
     @property
     def sees_print(self) -> bool:
-        """Whether the first picture that was remembered, if any, had enough to recognise."""
-        return not self._views or len(self._views[0].numbers) >= LEAST_RECOGNISED
+        """Whether the first picture that was remembered, if any, had enough to recognize."""
+        return not self._views or len(self._views[0].numbers) >= LEAST_RECOGNIZED
 
     def knows(self, numbers: Int[np.ndarray, " points"]) -> Bool[np.ndarray, " points"]:
         """Return whether each number is one that is remembered."""
@@ -113,7 +113,7 @@ class Recogniser:
         if len(self._views) > _MOST_VIEWS:
             del self._views[1]
 
-    def recognised(
+    def recognized(
         self, seen: KeyPoints, positions: Float[np.ndarray, "points 3"]
     ) -> Int[np.ndarray, " points"]:
         """Return the number of each key point that is seen at these positions [m].
@@ -127,7 +127,7 @@ class Recogniser:
             place, remembered = _matches(seen.descriptions, view.descriptions)
             near = _stay_together(positions[place], view.positions[remembered])
             place, remembered = place[near], remembered[near]
-            if len(place) >= LEAST_RECOGNISED:
+            if len(place) >= LEAST_RECOGNIZED:
                 fresh = numbers[place] < 0
                 numbers[place[fresh]] = view.numbers[remembered[fresh]]
         return numbers

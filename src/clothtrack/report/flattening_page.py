@@ -1,6 +1,6 @@
 """One offline page per flattening episode: pictures with the next action's arrow, and the curve.
 
-What came about with a control is labelled so at the top, in the title and in every figure.
+What came about with a control is labeled so at the top, in the title and in every figure.
 """
 
 import time
@@ -112,7 +112,7 @@ def _figures(store: EpisodeStore) -> list[Figure]:
         gained = improvement(steps, key)[-1]
         where = "seen by the camera" if key == "seen_m2" else "true"
         gain = "Coverage gained, of what there was to gain: 1 is flat, 0 is nothing."
-        figures.insert(0, Figure("Normalised improvement", f"{gained:.2f}", where, gain))
+        figures.insert(0, Figure("Normalized improvement", f"{gained:.2f}", where, gain))
     decided = [row["decision_s"] + row["perception_s"] for row in steps[1:]]
     if decided:
         spent = "From the picture to the chosen action."

@@ -122,7 +122,7 @@ def write_report(
 
 
 def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConfig) -> str:
-    steps = evenly(len(tracked.frames), config.video_frames, always=_labelled_steps(tracked))
+    steps = evenly(len(tracked.frames), config.video_frames, always=_labeled_steps(tracked))
     rows, width = overlay.stacked(0).shape[:2]
     pictures = Pictures(
         tracked.frames[steps].tolist(),
@@ -145,7 +145,7 @@ def _contents(
 ) -> SceneContents:
     tracked, recording = overlay.tracked, overlay.recording
     most = min(_SCENE_FRAMES, max(2, config.scene_vertices // tracked.mesh.vertex_count))
-    steps = evenly(len(tracked.frames), most, always=_labelled_steps(tracked))
+    steps = evenly(len(tracked.frames), most, always=_labeled_steps(tracked))
     cameras = {camera.name for camera in recording.cameras}
     return recorded_scene(
         recording,
@@ -161,7 +161,7 @@ def _contents(
     )
 
 
-def _labelled_steps(tracked: TrackedTrajectory) -> list[int]:
+def _labeled_steps(tracked: TrackedTrajectory) -> list[int]:
     """Return the steps of the labels, which are always shown."""
     ends = [action.last_frame for action in tracked.actions]
     return np.flatnonzero(np.isin(tracked.frames, ends)).tolist()

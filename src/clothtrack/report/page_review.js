@@ -9,7 +9,7 @@ function reviewed(section, inTurn) {
   const twins = rows.map((_, k) => [...document.querySelectorAll(`[data-mark="${k}"]`)]);
   let current = 0, chosen = null, go = () => {};
   // Whether the server took this, or told the decisions so far; the page then shows what it has.
-  const synchronised = async (message) => {
+  const synchronized = async (message) => {
     try {
       const sent = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(message) };
       const answer = await (await fetch("review", message && sent)).json();
@@ -24,7 +24,7 @@ function reviewed(section, inTurn) {
     return !state.classList.contains("failed");
   };
   const put = async (which, verdict) => {
-    if (served) return synchronised({ action: which, verdict });
+    if (served) return synchronized({ action: which, verdict });
     review.labels[which].verdict = verdict;
     return true;
   };
@@ -73,7 +73,7 @@ function reviewed(section, inTurn) {
   paint();
   return {
     decide,
-    load: async () => { if (served && (await synchronised())) paint(); },
+    load: async () => { if (served && (await synchronized())) paint(); },
     undo: takeBack,
     // Where two actions meet, one frame belongs to both: a label that was chosen stays chosen.
     at: (frame, label) => {

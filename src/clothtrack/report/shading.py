@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import DepthBuffer, Rasteriser
+from clothtrack.geometry.visibility import DepthBuffer, Rasterizer
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.segmentation import bounds_of
 from clothtrack.report.palette import INSIDE, OUTSIDE, PAPER, TABLE
@@ -74,7 +74,7 @@ class Shader:
         self.size = (camera.width, camera.height)
         self.camera = camera.resized(camera.width * self.config.supersampling)
         self._faces = np.asarray(faces, dtype=np.int32)
-        self._rasteriser = Rasteriser(self._faces, self.camera)
+        self._rasterizer = Rasterizer(self._faces, self.camera)
         self._backdrop, self._backdrop_depth = _backdrop(self.camera, table)
         self._empty = _eight_bits(self._backdrop)
 
@@ -85,7 +85,7 @@ class Shader:
         colors: Float[np.ndarray, "vertices 3"] | None = None,
     ) -> ShadedStill:
         """Render the cloth at `vertices` [m, world], two-sided or in `colors` per vertex."""
-        buffer = self._rasteriser.render(vertices)
+        buffer = self._rasterizer.render(vertices)
         cloth = (buffer.faces >= 0) & (buffer.depth < self._backdrop_depth + 2e-3)
         picture = self._empty.copy()
         if cloth.any():

@@ -36,7 +36,7 @@ class Topic:
     Attributes:
         name: such as "/camera/depth/image_raw".
         kind: message type in the ROS 2 spelling, such as "sensor_msgs/msg/Image".
-        cdr: messages are serialised as in ROS 2 (CDR), else as in ROS 1.
+        cdr: messages are serialized as in ROS 2 (CDR), else as in ROS 1.
     """
 
     name: str

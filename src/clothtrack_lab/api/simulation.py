@@ -61,7 +61,7 @@ def simulate(
         garment_seed: one garment for all recordings, before one camera, of a cut, size and
             thickness that no shipped network was trained on; its recordings are KIND_gNNNN_SEED.
         small: one action with a napkin before a small camera, in a few seconds.
-        states: record nothing; make at least so many labelled states with our own solver.
+        states: record nothing; make at least so many labeled states with our own solver.
         benchmark: record the benchmark, or a part: 20 trajectories to tune on (dev), 30 to score
             (test), 10 hard ones. It has its own garments and seeds.
         printed: the benchmark with a print on the cloth, in a folder of its own.
@@ -154,7 +154,7 @@ def _crumple(
     ray: str,
     progress: "Progress | None",
 ) -> Simulated:
-    """Labelled states, by our own solver."""
+    """Labeled states, by our own solver."""
     from clothtrack.files.settings import with_settings
     from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 

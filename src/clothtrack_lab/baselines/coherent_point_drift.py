@@ -68,7 +68,7 @@ class PeerConfig:
         alpha: weight of coherence against fit; 0.5 in CDCPD.
         beta_m: width of the kernel within which vertices move alike [m].
         outliers: share of the cloud that is not cloth; 0.1 in CDCPD.
-        iterations: most steps of expectation and maximisation per frame.
+        iterations: most steps of expectation and maximization per frame.
         modes: of the kernel's low-rank form.
         neighbors: nearest cloud points that a vertex may correspond to.
         start_sigma_m: standard deviation that a frame's registration starts from [m]: how far the

@@ -171,7 +171,7 @@ def bin_of(unit: Float[Tensor, "*points 3"], bins: int) -> Int[Tensor, "*points 
     return (unit * bins).floor().long().clamp(0, bins - 1)
 
 
-def relabelled(
+def relabeled(
     unit: Float[Tensor, "points 3"], signs: Float[Tensor, " 3"]
 ) -> Float[Tensor, "points 3"]:
     """Coordinates in the unit cube after a symmetry of the garment."""
@@ -199,7 +199,7 @@ def symmetry_losses(
     log_probability = logits.float().log_softmax(dim=-1)
     sums = log_probability.new_zeros(images, len(symmetries))
     for index, signs in enumerate(symmetries):
-        right = bin_of(relabelled(targets, signs), logits.shape[-1])
+        right = bin_of(relabeled(targets, signs), logits.shape[-1])
         of_pixel = -log_probability.gather(-1, right[..., None])[..., 0].mean(dim=-1)
         sums[:, index] = sums[:, index].index_add(0, image_of_pixel, of_pixel)
     pixels = torch.bincount(image_of_pixel, minlength=images).clamp(min=1)
@@ -213,9 +213,9 @@ def canonical_loss(
     symmetries: Float[Tensor, "symmetries 3"],
     images: int,
 ) -> Float[Tensor, ""]:
-    """Cross entropy, for each picture against the labelling that suits the network best [nat].
+    """Cross entropy, for each picture against the labeling that suits the network best [nat].
 
-    Which of the look-alike labellings is true cannot be seen, so any of them is right; but one for
+    Which of the look-alike labelings is true cannot be seen, so any of them is right; but one for
     the whole picture, or the map would tear.
 
     Args:

@@ -17,7 +17,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.closest_point import interpolate
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture, faces_of_points
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture, faces_of_points
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
 from clothtrack_lab.published_networks.canonical_frame import (
     canonical_frame,
@@ -30,7 +30,7 @@ from clothtrack_lab.published_networks.winding import WindingConfig, WindingPool
 
 @dataclass(frozen=True)
 class ExampleConfig(Checked):
-    """How an example is drawn from a labelled picture.
+    """How an example is drawn from a labeled picture.
 
     Attributes:
         surface_queries: material points per example whose position is asked for, uniform over the
@@ -119,7 +119,7 @@ class Example:
         pixels: row and column, in the canonical picture, of each pixel of cloth.
         points: where each of them was measured, in the world [m].
         unit: its canonical coordinates [unit cube]; 0 where unknown.
-        labelled: whether they are known.
+        labeled: whether they are known.
         surface: canonical coordinates of material points [unit cube].
         positions: where these points are, in the world [m].
         volume: places in the unit cube.
@@ -130,7 +130,7 @@ class Example:
     pixels: Int[np.ndarray, "pixels 2"]
     points: Float32[np.ndarray, "pixels 3"]
     unit: Float32[np.ndarray, "pixels 3"]
-    labelled: Bool[np.ndarray, " pixels"]
+    labeled: Bool[np.ndarray, " pixels"]
     surface: Float32[np.ndarray, "surface 3"]
     positions: Float32[np.ndarray, "surface 3"]
     volume: Float32[np.ndarray, "volume 3"]
@@ -138,13 +138,13 @@ class Example:
 
 
 def draw_example(
-    picture: LabelledPicture,
+    picture: LabeledPicture,
     garment: Garment,
     network: NetworkConfig,
     config: ExampleConfig,
     rng: np.random.Generator,
 ) -> Example:
-    """Augment a labelled picture, crop it for the network, and draw queries.
+    """Augment a labeled picture, crop it for the network, and draw queries.
 
     Args:
         picture: depth picture and mesh.
@@ -164,7 +164,7 @@ def draw_example(
     view = crop(picture.depth_m, picture.mask, picture.camera, network)
     chosen = cloth_pixels(view.depth, network)
     points = points_of(view.depth, view.camera, chosen.sources)
-    unit, labelled = _canonical_of_points(points, picture, garment, cut_m=config.cut_m)
+    unit, labeled = _canonical_of_points(points, picture, garment, cut_m=config.cut_m)
     face = rng.choice(len(garment.faces), config.surface_queries, p=garment.face_shares)
     within = rng.dirichlet(np.ones(3), config.surface_queries)
     surface = interpolate(within, garment.unit[garment.faces[face]])
@@ -175,13 +175,13 @@ def draw_example(
         # The mirror image of a garment is one of the same kind; its labels are mirrored with it.
         for one in (unit, surface, volume):
             one[:, 0] = 1.0 - one[:, 0]
-    unit[~labelled] = 0.0
+    unit[~labeled] = 0.0
     return Example(
         depth=view.depth,
         pixels=chosen.pixels,
         points=points.astype(np.float32),
         unit=unit.astype(np.float32),
-        labelled=labelled,
+        labeled=labeled,
         surface=surface.astype(np.float32),
         positions=positions.astype(np.float32),
         volume=volume,
@@ -191,7 +191,7 @@ def draw_example(
 
 def _canonical_of_points(
     points: Float[np.ndarray, "points 3"],
-    picture: LabelledPicture,
+    picture: LabeledPicture,
     garment: Garment,
     *,
     cut_m: float,
@@ -221,7 +221,7 @@ class Batch:
         pixels: picture, row and column of every pixel of cloth.
         points: where each was measured, in the world [m].
         unit: its canonical coordinates [unit cube]; 0 where unknown.
-        labelled: whether they are known.
+        labeled: whether they are known.
         surface: canonical coordinates of material points [unit cube].
         positions: where these are, in the world [m].
         volume: places in the unit cube.
@@ -232,7 +232,7 @@ class Batch:
     pixels: Int[Tensor, "pixels 3"]
     points: Float[Tensor, "pixels 3"]
     unit: Float[Tensor, "pixels 3"]
-    labelled: Bool[Tensor, " pixels"]
+    labeled: Bool[Tensor, " pixels"]
     surface: Float[Tensor, "batch surface 3"]
     positions: Float[Tensor, "batch surface 3"]
     volume: Float[Tensor, "batch volume 3"]
@@ -260,7 +260,7 @@ def collate(examples: Sequence[Example]) -> Batch:
         pixels=torch.cat([pixels, joined("pixels")], dim=1),
         points=joined("points"),
         unit=joined("unit"),
-        labelled=joined("labelled"),
+        labeled=joined("labeled"),
         surface=stacked("surface"),
         positions=stacked("positions"),
         volume=stacked("volume"),

@@ -219,7 +219,7 @@ def consistent_displacement(
 ) -> Float[np.ndarray, "vertices 3"]:
     """The displacement [m] that brings the mesh to where its pieces were seen (consistency).
 
-    It minimises, with x the vertices, S the interpolation to the canonical coordinates of observed
+    It minimizes, with x the vertices, S the interpolation to the canonical coordinates of observed
     points o, w their weights, and U the uniform Laplacian,
 
         c sum_p w_p |S_p (x + d) - o_p|^2 / sum_p w_p + b mean_ij |d_i - d_j|^2

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from clothtrack.reconstruction.design import Design, Reconstructor
 
 if TYPE_CHECKING:
-    from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+    from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
     from clothtrack.reconstruction.data.state_store import StateSet
     from clothtrack.reconstruction.learning_outcome import LearningOutcome
     from clothtrack.reconstruction.training.checkpoint import Weights
@@ -43,7 +43,7 @@ def _pretrain(
 
 def _finetune(
     start: "Weights",
-    labels: "Sequence[LabelledRecording]",
+    labels: "Sequence[LabeledRecording]",
     config: "PublishedConfig",
     folder: Path,
     **options: Any,

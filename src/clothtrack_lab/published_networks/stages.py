@@ -1,8 +1,8 @@
 """The two stages of training: which point each pixel shows, then all of the cloth.
 
-Which of a garment's look-alike labellings is true cannot be seen (`first_mesh.symmetries`).
+Which of a garment's look-alike labelings is true cannot be seen (`first_mesh.symmetries`).
 Both stages take, for each picture as a whole, the one that fits what the canonicaliser says; errors
-are measured for the labelling as it was drawn, and up to symmetry, which is what selects.
+are measured for the labeling as it was drawn, and up to symmetry, which is what selects.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ _CLOSE = 0.05
 
 
 class CanonicalisationStage(Stage):
-    """Stage 1: cross entropy of the bins, per picture the least over its look-alike labellings.
+    """Stage 1: cross entropy of the bins, per picture the least over its look-alike labelings.
 
     Args:
         canonicaliser: is trained.
@@ -58,14 +58,14 @@ class CanonicalisationStage(Stage):
 
     def forward(self, batch: Batch) -> Mapping[str, Tensor]:
         """The loss [nat] of a batch, over the pixels that have a label."""
-        pixels, unit = batch.pixels[batch.labelled], batch.unit[batch.labelled]
+        pixels, unit = batch.pixels[batch.labeled], batch.unit[batch.labeled]
         logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
         loss = canonical_loss(logits, unit, pixels[:, 0], self.signs, len(batch.depth))
         return {"loss": loss}
 
     def measure(self, batch: Batch) -> Mapping[str, Tensor]:
         """Canonical errors of each picture: median and mean [mm], share found; also as drawn."""
-        pixels, unit = batch.pixels[batch.labelled], batch.unit[batch.labelled]
+        pixels, unit = batch.pixels[batch.labeled], batch.unit[batch.labeled]
         logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
         found, _ = coordinates(logits, self.network.window)
         in_mm = 1e3 / self._frame.scale
@@ -73,7 +73,7 @@ class CanonicalisationStage(Stage):
         for image in range(len(batch.depth)):
             own = pixels[:, 0] == image
             errors = torch.stack(
-                [(found[own] - _relabelled(unit[own], s)).norm(dim=1) for s in self.signs]
+                [(found[own] - _relabeled(unit[own], s)).norm(dim=1) for s in self.signs]
             )
             if errors.shape[1] == 0:
                 # A picture without a label says nothing, and is as bad as the cube is large.
@@ -130,12 +130,12 @@ class CompletionStage(Stage):
     def forward(self, batch: Batch) -> Mapping[str, Tensor]:
         """The loss of a batch and its two parts."""
         seen, alignments = self._observed(batch)
-        chosen = nearest_labelling(seen, batch, self.signs)
+        chosen = nearest_labeling(seen, batch, self.signs)
         volume = self.completion(seen)
         signs = self.signs[chosen][:, None]
         winding = batch.winding * (signs[..., 2] if self._is_sheet else 1.0)
-        found = self.completion.winding(volume, _relabelled(batch.volume, signs))
-        surface = _relabelled(batch.surface, signs)
+        found = self.completion.winding(volume, _relabeled(batch.volume, signs))
+        surface = _relabeled(batch.surface, signs)
         wanted = self._aligned_positions(batch, alignments) - self._meters(surface)
         moved = self.warp(volume, surface)
         of_winding = ((found - winding) ** 2).mean(dim=1)
@@ -154,12 +154,12 @@ class CompletionStage(Stage):
         positions = self._aligned_positions(batch, alignments)
         errors, fields = [], []
         for signs in self.signs:
-            surface = _relabelled(batch.surface, signs)
+            surface = _relabeled(batch.surface, signs)
             moved = self._meters(surface) + self.warp(volume, surface)
             # Alignment is rigid: distances in its frame are those in the world.
             errors.append(1e3 * (moved - positions).norm(dim=2).mean(dim=1))
             winding = batch.winding * (signs[2] if self._is_sheet else 1.0)
-            found = self.completion.winding(volume, _relabelled(batch.volume, signs))
+            found = self.completion.winding(volume, _relabeled(batch.volume, signs))
             fields.append(((found - winding) ** 2).mean(dim=1).sqrt())
         table = torch.stack(errors)
         best = table.argmin(dim=0, keepdim=True)
@@ -197,14 +197,14 @@ class CompletionStage(Stage):
         return (unit - 0.5) / self._frame.scale
 
 
-def nearest_labelling(
+def nearest_labeling(
     seen: ObservedPoints, batch: Batch, signs: Float[Tensor, "symmetries 3"]
 ) -> Int[Tensor, " batch"]:
-    """For each picture the look-alike labelling that the canonicaliser has chosen."""
-    image, unit = seen.image[batch.labelled], batch.unit[batch.labelled]
+    """For each picture the look-alike labeling that the canonicaliser has chosen."""
+    image, unit = seen.image[batch.labeled], batch.unit[batch.labeled]
     errors = []
     for one in signs:
-        gaps = (seen.unit[batch.labelled] - _relabelled(unit, one)).norm(dim=1)
+        gaps = (seen.unit[batch.labeled] - _relabeled(unit, one)).norm(dim=1)
         errors.append(gaps.new_zeros(seen.images).index_add(0, image, gaps))
     return torch.stack(errors).argmin(dim=0)
 
@@ -225,7 +225,7 @@ def completion_stage(canonicaliser: Canonicaliser, kind: str, *, seed: int = 0) 
     return CompletionStage(canonicaliser, completion, WarpField(network), kind)
 
 
-def _relabelled(
+def _relabeled(
     unit: Float[Tensor, "*points 3"], signs: Float[Tensor, "*#points 3"]
 ) -> Float[Tensor, "*points 3"]:
     return 0.5 + (unit - 0.5) * signs

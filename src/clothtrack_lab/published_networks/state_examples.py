@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.rendered_states import RenderedStates
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard
@@ -26,7 +26,7 @@ _ROOM = 0.98
 
 
 class StateExamples(RenderedStates[Garment, Example]):
-    """Labelled states of simulated garments as examples of the published network.
+    """Labeled states of simulated garments as examples of the published network.
 
     Args:
         sets: folders of states, all of one kind of garment.
@@ -68,7 +68,7 @@ class StateExamples(RenderedStates[Garment, Example]):
 
     def _drawn(
         self,
-        picture: LabelledPicture,
+        picture: LabeledPicture,
         shard: StateShard,
         garment: Garment,
         rng: np.random.Generator,
@@ -96,7 +96,7 @@ def _in_cube(shard: StateShard) -> StateShard:
 
 
 class PseudoLabelExamples:
-    """Labelled recordings as examples.
+    """Labeled recordings as examples.
 
     Args:
         recordings: all of one kind.
@@ -110,7 +110,7 @@ class PseudoLabelExamples:
 
     def __init__(
         self,
-        recordings: Sequence[LabelledRecording],
+        recordings: Sequence[LabeledRecording],
         network: NetworkConfig,
         config: ExampleConfig | None = None,
         *,
@@ -127,7 +127,7 @@ class PseudoLabelExamples:
         self.config = config or ExampleConfig()
         self.seed = seed
         self.groups: list[str] = []
-        self._pictures: list[LabelledPicture] = []
+        self._pictures: list[LabeledPicture] = []
         self._garments: list[Garment] = []
         for number, one in enumerate(recordings):
             labels = Garment.of(one.mesh, one.kind, self.config.winding, seed=number)
@@ -136,7 +136,7 @@ class PseudoLabelExamples:
             self.groups += [one.name] * len(one.pictures)
 
     def __len__(self) -> int:
-        """Number of labelled pictures."""
+        """Number of labeled pictures."""
         return len(self._pictures)
 
     def __getitem__(self, draw: Draw) -> Example:

@@ -11,7 +11,7 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
@@ -96,7 +96,7 @@ def pretrain(
 
 def finetune(
     start: Weights,
-    labels: Sequence[LabelledRecording],
+    labels: Sequence[LabeledRecording],
     config: PublishedConfig,
     folder: Path,
     *,

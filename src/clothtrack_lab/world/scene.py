@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, UInt8
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import interpolate
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack_lab.world.tool import Tool
 
 TABLE, CLOTH, TOOL, TIP = 0, 1, 2, 3
@@ -46,8 +46,8 @@ class Scene:
         self._cloth = cloth
         self._canonical = cloth.vertices if cloth.canonical is None else cloth.canonical
         self._tool = tool
-        self._draw_cloth = Rasteriser(cloth.faces, camera)
-        self._draw_tool = Rasteriser(tool.faces, camera)
+        self._draw_cloth = Rasterizer(cloth.faces, camera)
+        self._draw_tool = Rasterizer(tool.faces, camera)
         columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
         local = [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy]
         rays = np.stack([*local, np.ones(columns.shape)], axis=-1)

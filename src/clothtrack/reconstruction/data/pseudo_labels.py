@@ -22,9 +22,9 @@ from clothtrack.files.sealed_npz import read_npz, write_npz
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data.cloud_picture import cloud_picture
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import cloth_measured, observe
 from clothtrack.recordings.recording import Frame, Recording
@@ -42,7 +42,7 @@ _OF_PICTURES = ("depth_m", "faces", "positions")
 
 @dataclass(frozen=True, eq=False)
 class PseudoLabel:
-    """One frame of a recording, labelled by the tracker.
+    """One frame of a recording, labeled by the tracker.
 
     Attributes:
         frame: of the recording.
@@ -54,8 +54,8 @@ class PseudoLabel:
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledRecording:
-    """The labelled pictures of one recording; the unit that is kept together in a split.
+class LabeledRecording:
+    """The labeled pictures of one recording; the unit that is kept together in a split.
 
     Attributes:
         name: of the recording.
@@ -70,7 +70,7 @@ class LabelledRecording:
     kind: str
     mesh: ClothMesh
     frames: tuple[int, ...]
-    pictures: tuple[LabelledPicture, ...]
+    pictures: tuple[LabeledPicture, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -83,7 +83,7 @@ def label_recording(
     cut_m: float = 0.02,
     segmenter: Segmenter | None = None,
     provenance: Mapping[str, Any] | None = None,
-) -> LabelledRecording:
+) -> LabeledRecording:
     """Pictures and projected labels of a tracked recording.
 
     Args:
@@ -109,9 +109,9 @@ def label_recording(
         depth, mask, camera = cloth_picture(recording, recording.frames[label.frame], segmenter)
         positions = np.asarray(label.positions, np.float64)
         faces = projected_faces(depth, mask, camera, positions, mesh.faces, cut_m=cut_m)
-        pictures.append(LabelledPicture(depth, mask, camera, faces, positions))
+        pictures.append(LabeledPicture(depth, mask, camera, faces, positions))
     frames = tuple(label.frame for label in labels)
-    return LabelledRecording(
+    return LabeledRecording(
         recording.name, kind, mesh, frames, tuple(pictures), dict(provenance or {})
     )
 
@@ -168,7 +168,7 @@ def projected_faces(
         cut_m: largest distance of pixel and face [m].
     """
     shown = np.full(depth.shape, -1, np.int32)
-    drawn = Rasteriser(faces, camera).render(positions).faces
+    drawn = Rasterizer(faces, camera).render(positions).faces
     seen = np.unique(drawn[drawn >= 0])
     points = camera.back_project(depth, mask)
     if len(seen) == 0 or len(points) == 0:
@@ -182,7 +182,7 @@ def projected_faces(
     return shown
 
 
-def write_labels(labelled: LabelledRecording, path: Path) -> None:
+def write_labels(labeled: LabeledRecording, path: Path) -> None:
     """Write one compressed NumPy archive, whole or not at all.
 
     Raises:
@@ -191,26 +191,26 @@ def write_labels(labelled: LabelledRecording, path: Path) -> None:
     document = {
         "format": FORMAT,
         "version": FORMAT_VERSION,
-        "name": labelled.name,
-        "kind": labelled.kind,
-        "frames": list(labelled.frames),
-        "cameras": [_camera_document(one.camera) for one in labelled.pictures],
-        "provenance": dict(labelled.provenance),
+        "name": labeled.name,
+        "kind": labeled.kind,
+        "frames": list(labeled.frames),
+        "cameras": [_camera_document(one.camera) for one in labeled.pictures],
+        "provenance": dict(labeled.provenance),
     }
     arrays = {
         "document": np.frombuffer(json.dumps(document, default=str).encode(), np.uint8),
-        "rest_positions": np.asarray(labelled.mesh.vertices, np.float32),
-        "faces": np.asarray(labelled.mesh.faces, np.int32),
-        "canonical": np.asarray(labelled.mesh.canonical, np.float32),
+        "rest_positions": np.asarray(labeled.mesh.vertices, np.float32),
+        "faces": np.asarray(labeled.mesh.faces, np.int32),
+        "canonical": np.asarray(labeled.mesh.canonical, np.float32),
     }
-    for number, picture in enumerate(labelled.pictures):
+    for number, picture in enumerate(labeled.pictures):
         arrays[f"{number}/depth_m"] = np.where(picture.mask, picture.depth_m, 0).astype(np.float32)
         arrays[f"{number}/faces"] = picture.faces.astype(np.int32)
         arrays[f"{number}/positions"] = picture.positions.astype(np.float32)
     write_npz(path, arrays)
 
 
-def read_labels(path: Path) -> LabelledRecording:
+def read_labels(path: Path) -> LabeledRecording:
     """Read what `write_labels` has written; nothing in it is executed.
 
     Raises:
@@ -221,7 +221,7 @@ def read_labels(path: Path) -> LabelledRecording:
             f"{path}: there are no such labels; make them with: clothtrack label TRACKED..."
         )
     try:
-        return _labelled(read_npz(path))
+        return _labeled(read_npz(path))
     except (
         InvalidMeshError,
         InvalidRecordingError,
@@ -238,7 +238,7 @@ def read_labels(path: Path) -> LabelledRecording:
         ) from error
 
 
-def _labelled(arrays: Mapping[str, np.ndarray]) -> LabelledRecording:
+def _labeled(arrays: Mapping[str, np.ndarray]) -> LabeledRecording:
     document = json.loads(arrays["document"].tobytes())
     found = document["format"], document["version"]
     if found != (FORMAT, FORMAT_VERSION):
@@ -249,12 +249,12 @@ def _labelled(arrays: Mapping[str, np.ndarray]) -> LabelledRecording:
         depth, faces = arrays[f"{number}/depth_m"], arrays[f"{number}/faces"]
         positions = arrays[f"{number}/positions"].astype(np.float64)
         _check_picture(depth, faces, positions, mesh)
-        pictures.append(LabelledPicture(depth, depth > 0, _camera_of(camera), faces, positions))
+        pictures.append(LabeledPicture(depth, depth > 0, _camera_of(camera), faces, positions))
     known = len(_ARRAYS) + len(_OF_PICTURES) * len(pictures)
     if len(arrays) != known:
         # The digests would not be asked for if theirs had lost its name.
         raise ValueError(f"it has {len(arrays)} arrays, {len(pictures)} labels need {known}")
-    return LabelledRecording(
+    return LabeledRecording(
         document["name"],
         document["kind"],
         mesh,

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
+from clothtrack.geometry.visibility import Rasterizer
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
@@ -63,7 +63,7 @@ class RenderedStates(ABC, Generic[_GarmentPart, Drawn]):
     @abstractmethod
     def _drawn(
         self,
-        picture: LabelledPicture,
+        picture: LabeledPicture,
         shard: StateShard,
         garment: _GarmentPart,
         rng: np.random.Generator,
@@ -124,7 +124,7 @@ def render(
     mesh: ClothMesh,
     config: RenderConfig,
     rng: np.random.Generator,
-) -> LabelledPicture:
+) -> LabeledPicture:
     """A picture of a cloth on the table z = 0, by a camera above it that measures badly.
 
     Only the part of the camera's picture around the cloth is taken.
@@ -136,14 +136,14 @@ def render(
         rng: of the camera and its noise.
     """
     camera = _camera_above(positions, config, rng)
-    drawn = Rasteriser(mesh.faces, camera).render(positions)
+    drawn = Rasterizer(mesh.faces, camera).render(positions)
     on_cloth = drawn.faces >= 0
     depth, facing = _perfect_depth(drawn.depth, drawn.faces, positions, mesh, camera)
     measured = depth_noise(depth, facing, _wave(depth.shape, rng), _sensor(config, rng), rng)
     mask = _jittered(on_cloth, config.mask_jitter, rng)
     mask &= (measured > 0) & ~flying_pixels(measured, camera.fx)
     mask &= ~_hidden(positions, mask, camera, config, rng)
-    return LabelledPicture(measured, mask, camera, drawn.faces, positions)
+    return LabeledPicture(measured, mask, camera, drawn.faces, positions)
 
 
 def _hidden(

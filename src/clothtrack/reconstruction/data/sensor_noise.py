@@ -30,8 +30,8 @@ class SensorConfig(Checked):
         tilt_deg: standard deviation of the optical axis from the vertical [deg].
         white_m: standard deviation of independent noise [m] at 0.75 m.
         wave_m: standard deviation of slowly varying error [m], the same all through a recording.
-        step_m: quantisation of depth [m]; also the unit of the depth files.
-        disparity_step_m: further quantisation of depth at 0.75 m [m], which grows with the square
+        step_m: quantization of depth [m]; also the unit of the depth files.
+        disparity_step_m: further quantization of depth at 0.75 m [m], which grows with the square
             of the depth, as of a camera that measures whole steps of disparity; 0: none.
         dropout: share of pixels without a measurement on a surface seen from the front.
         grazing_dropout: additional share on a surface seen edge-on.
@@ -104,5 +104,5 @@ def depth_noise(
         disparity = 1.0 / np.maximum(measured, 1e-3)
         step = np.float32(config.disparity_step_m / REFERENCE_DEPTH_M**2)
         measured = 1.0 / np.maximum(np.round(disparity / step) * step, step)
-    quantised = np.round(measured / config.step_m) * config.step_m
-    return np.where(lost, 0.0, np.maximum(quantised, 0.0))
+    quantized = np.round(measured / config.step_m) * config.step_m
+    return np.where(lost, 0.0, np.maximum(quantized, 0.0))

@@ -1,4 +1,4 @@
-"""Labelled states of a garment on disk: one Zarr group per garment, and the folder of them.
+"""Labeled states of a garment on disk: one Zarr group per garment, and the folder of them.
 
     OUT/states.json            what was asked for, the seed, versions, and which shards are finished
     OUT/shards/0000.zarr       all states of one garment
@@ -105,7 +105,7 @@ class StateShard:
             )
         if self.mesh.canonical is None:
             raise InvalidResultError(
-                "the mesh has no canonical coordinates, which are what a state is labelled with"
+                "the mesh has no canonical coordinates, which are what a state is labeled with"
             )
         for state, finite in enumerate(np.isfinite(self.positions).all(axis=(1, 2))):
             if not finite:

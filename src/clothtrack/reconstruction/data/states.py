@@ -1,4 +1,4 @@
-"""Generates labelled states of garments: what a reconstruction network learns from.
+"""Generates labeled states of garments: what a reconstruction network learns from.
 
 `OUT/shards/0000.zarr` holds all states of one garment; garments differ in width and length, and in
 what they are made of. Shard k depends on the seed and on k alone. A finished shard is kept, so an

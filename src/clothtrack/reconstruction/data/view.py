@@ -139,7 +139,7 @@ def crop(
             meters, or there is no cloth in it.
     """
     # Batches are cropped without Warp (`batch_view.py`), where it may not be installed.
-    from clothtrack.geometry.visibility import Rasteriser
+    from clothtrack.geometry.visibility import Rasterizer
 
     shown = _cloth_shown(depth_m, mask, camera)
     points = camera.back_project(depth_m, shown)
@@ -150,7 +150,7 @@ def crop(
             f"camera {camera.name!r}: no three neighboring pixels of cloth have a depth; "
             "the depth picture is too sparse or its mask is wrong"
         )
-    depth = Rasteriser(faces, above).render(points).depth
+    depth = Rasterizer(faces, above).render(points).depth
     seen = np.isfinite(depth)
     return CroppedView(np.where(seen, depth, 0.0).astype(np.float32), above, seen)
 

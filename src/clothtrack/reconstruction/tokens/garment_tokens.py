@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.tokens.token_symmetries import Layered, labellings, mirrored
+from clothtrack.reconstruction.tokens.token_symmetries import Layered, labelings, mirrored
 
 TOKENS = 256
 """Tokens per garment: 16 x 16 of a rectangle, 128 on each layer of what is sewn."""
@@ -49,8 +49,8 @@ class GarmentTokens:
             size, and x and y over width and length.
         face, blend: where on the mesh each token lies.
         vertex_tokens, vertex_shares: tokens around each vertex, and its shares of them.
-        labellings: each token's name under each look-alike labelling; the first changes nothing.
-        is_labelling: which of the rows are labellings; the others fill up.
+        labelings: each token's name under each look-alike labeling; the first changes nothing.
+        is_labeling: which of the rows are labelings; the others fill up.
         mirror: each token's name in the mirror image of the garment.
         neighbors: the nearest tokens of each through the cloth, itself first.
         layers: 1 or 2.
@@ -63,8 +63,8 @@ class GarmentTokens:
     blend: Float[np.ndarray, "tokens 3"]
     vertex_tokens: Int[np.ndarray, "vertices shares"]
     vertex_shares: Float32[np.ndarray, "vertices shares"]
-    labellings: Int[np.ndarray, "labellings tokens"]
-    is_labelling: Bool[np.ndarray, " labellings"]
+    labelings: Int[np.ndarray, "labelings tokens"]
+    is_labeling: Bool[np.ndarray, " labelings"]
     mirror: Int[np.ndarray, " tokens"]
     neighbors: Int[np.ndarray, "tokens neighbors"]
     layers: int
@@ -188,7 +188,7 @@ class _Shape:
         """What depends on the tokens' flat places [m] and sides alone, by its name."""
         size_m = float(self.extent.max())
         layered = self.layered
-        names, is_labelling = labellings(layered, places, sides)
+        names, is_labeling = labelings(layered, places, sides)
         rim, seam = _rim_and_seam(self.faces, self.side, len(self.flat))
         features = np.column_stack(
             [
@@ -202,8 +202,8 @@ class _Shape:
         return {
             "size_m": size_m,
             "features": features.astype(np.float32),
-            "labellings": names,
-            "is_labelling": is_labelling,
+            "labelings": names,
+            "is_labeling": is_labeling,
             "mirror": mirrored(layered, places, sides),
             "layers": self.layers,
         }

@@ -53,7 +53,7 @@ class PackedStates:
         vertices, faces: how many each garment has.
         corners: vertices of all faces of all garments; `GarmentTokens` has the rest.
         vertex_tokens, vertex_shares: of all vertices of all garments.
-        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbors: of the
+        features, token_corners, token_blend, labelings, is_labeling, mirror, neighbors: of the
             tokens; the corners are those of the face that a token lies on.
         size_m, layers: of each garment.
         digest: the first 8 hexadecimal digits of each garment's digest, as a number.
@@ -72,8 +72,8 @@ class PackedStates:
     features: Float[Tensor, "garments tokens features"]
     token_corners: Int[Tensor, "garments tokens 3"]
     token_blend: Float[Tensor, "garments tokens 3"]
-    labellings: UInt8[Tensor, "garments labellings tokens"]
-    is_labelling: Bool[Tensor, "garments labellings"]
+    labelings: UInt8[Tensor, "garments labelings tokens"]
+    is_labeling: Bool[Tensor, "garments labelings"]
     mirror: UInt8[Tensor, "garments tokens"]
     neighbors: UInt8[Tensor, "garments tokens neighbors"]
     size_m: Float[Tensor, " garments"]
@@ -127,8 +127,8 @@ class PackedStates:
             "features": garment.features[None],
             "token_corners": faces[garment.face].astype(np.int16)[None],
             "token_blend": garment.blend.astype(np.float32)[None],
-            "labellings": garment.labellings.astype(np.uint8)[None],
-            "is_labelling": garment.is_labelling[None],
+            "labelings": garment.labelings.astype(np.uint8)[None],
+            "is_labeling": garment.is_labeling[None],
             "mirror": garment.mirror.astype(np.uint8)[None],
             "neighbors": garment.neighbors.astype(np.uint8)[None],
             "size_m": np.array([garment.size_m], np.float32),

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.reconstruction.data.labelled_picture import LabelledPicture, faces_of_points
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.labeled_picture import LabeledPicture, faces_of_points
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.rendered_states import RenderedStates
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, shard_digest
@@ -73,7 +73,7 @@ class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
 
     def _drawn(
         self,
-        picture: LabelledPicture,
+        picture: LabeledPicture,
         shard: StateShard,
         garment: GarmentTokens,
         rng: np.random.Generator,
@@ -81,7 +81,7 @@ class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
         return token_example(picture, shard.mesh.faces, garment, self.network, rng)
 
 
-class LabelledTokenExamples:
+class LabeledTokenExamples:
     """Tracked recordings as examples, of any garments; each is a function of index, epoch and seed.
 
     Labels whose mesh lies beside what was measured are left out.
@@ -96,7 +96,7 @@ class LabelledTokenExamples:
     """
 
     def __init__(
-        self, recordings: Sequence[LabelledRecording], network: TokenNetworkConfig, *, seed: int = 0
+        self, recordings: Sequence[LabeledRecording], network: TokenNetworkConfig, *, seed: int = 0
     ) -> None:
         self.network = network
         self.seed = seed
@@ -110,7 +110,7 @@ class LabelledTokenExamples:
         ]
         if not self._places:
             raise InvalidConfigError(
-                "there is no labelled picture whose mesh lies where the cloth was measured; make "
+                "there is no labeled picture whose mesh lies where the cloth was measured; make "
                 "some with: clothtrack label TRACKED..."
             )
         self.groups = [recordings[number].name for number, _ in self._places]
@@ -124,7 +124,7 @@ class LabelledTokenExamples:
         return float(named.mean()) if len(named) else 0.0
 
     def __len__(self) -> int:
-        """Number of labelled pictures."""
+        """Number of labeled pictures."""
         return len(self._places)
 
     def __getitem__(self, draw: Draw) -> TokenExample:
@@ -143,7 +143,7 @@ class LabelledTokenExamples:
             return self._drawn(number, whole, table_m, rng)
 
     def _drawn(
-        self, number: int, picture: LabelledPicture, table_m: float, rng: np.random.Generator
+        self, number: int, picture: LabeledPicture, table_m: float, rng: np.random.Generator
     ) -> TokenExample:
         faces = self._recordings[number].mesh.faces
         return token_example(
@@ -151,8 +151,8 @@ class LabelledTokenExamples:
         )
 
 
-def with_parts_missing(picture: LabelledPicture, rng: np.random.Generator) -> LabelledPicture:
-    """A labelled picture in which part of the cloth may not have been measured.
+def with_parts_missing(picture: LabeledPicture, rng: np.random.Generator) -> LabeledPicture:
+    """A labeled picture in which part of the cloth may not have been measured.
 
     Args:
         picture: what was measured.
@@ -175,7 +175,7 @@ def with_parts_missing(picture: LabelledPicture, rng: np.random.Generator) -> La
 
 
 def token_example(
-    picture: LabelledPicture,
+    picture: LabeledPicture,
     faces: Int[np.ndarray, "faces 3"],
     garment: GarmentTokens,
     network: TokenNetworkConfig,
@@ -183,7 +183,7 @@ def token_example(
     *,
     table_m: float = 0.0,
 ) -> TokenExample:
-    """A labelled picture as the network takes it, mirrored and turned at random.
+    """A labeled picture as the network takes it, mirrored and turned at random.
 
     Args:
         picture: what was measured, and of which mesh.
@@ -229,8 +229,8 @@ def token_example(
         pixel_tokens=tokens,
         pixel_shares=shares.reshape(PIXELS, -1).astype(np.float32),
         places=places.astype(np.float32),
-        labellings=garment.labellings,
-        is_labelling=garment.is_labelling,
+        labelings=garment.labelings,
+        is_labeling=garment.is_labeling,
         neighbors=garment.neighbors,
         conventional=_conventional(places, garment),
         size_m=size_m,
@@ -260,12 +260,12 @@ def seen_by_network(
 
 def _conventional(
     places: Float[np.ndarray, "tokens 3"], garment: GarmentTokens
-) -> Float[np.ndarray, " labellings"]:
-    """How much the cloth lies as the flat garment does under each labelling.
+) -> Float[np.ndarray, " labelings"]:
+    """How much the cloth lies as the flat garment does under each labeling.
 
     A sheet: its x to the right and its y up. What has two layers: its front above its back.
     """
     lying = garment.features[:, :2] if garment.layers == 1 else garment.features[:, 2:3]
     shown = places[:, :2] if garment.layers == 1 else places[:, 2:3]
     shown = shown - shown.mean(axis=0)
-    return np.array([(shown * lying[name]).sum() for name in garment.labellings])
+    return np.array([(shown * lying[name]).sum() for name in garment.labelings])

@@ -173,7 +173,7 @@ class _Garments:
         positions: vertices in the world [m]; those of a smaller garment come again.
         faces: vertices of each face, by corner; those that only fill up are vertex 0.
         first: where the vertices of each garment begin in the pack.
-        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbors, size_m,
+        features, token_corners, token_blend, labelings, is_labeling, mirror, neighbors, size_m,
             layers: as in `PackedStates`.
     """
 
@@ -183,8 +183,8 @@ class _Garments:
     features: Float[Tensor, "batch tokens features"]
     token_corners: Int[Tensor, "batch tokens 3"]
     token_blend: Float[Tensor, "batch tokens 3"]
-    labellings: Int[Tensor, "batch labellings tokens"]
-    is_labelling: Bool[Tensor, "batch labellings"]
+    labelings: Int[Tensor, "batch labelings tokens"]
+    is_labeling: Bool[Tensor, "batch labelings"]
     mirror: Int[Tensor, "batch tokens"]
     neighbors: Int[Tensor, "batch tokens neighbors"]
     size_m: Float[Tensor, " batch"]
@@ -228,8 +228,8 @@ class _Garments:
         return (at * self.token_blend[..., None]).sum(2)
 
 
-_INDICES = ("token_corners", "labellings", "mirror", "neighbors", "layers")
-_OF_GARMENTS = (*_INDICES, "features", "token_blend", "is_labelling", "size_m")
+_INDICES = ("token_corners", "labelings", "mirror", "neighbors", "layers")
+_OF_GARMENTS = (*_INDICES, "features", "token_blend", "is_labeling", "size_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,8 +301,8 @@ def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
         pixel_tokens=tokens,
         pixel_shares=seen.pixel_shares,
         places=places,
-        labellings=garments.labellings,
-        is_labelling=garments.is_labelling,
+        labelings=garments.labelings,
+        is_labeling=garments.is_labeling,
         neighbors=garments.neighbors,
         conventional=_conventional(places, garments),
         size_m=seen.size_m,
@@ -316,8 +316,8 @@ def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
 
 def _conventional(
     places: Float[Tensor, "batch tokens 3"], garments: _Garments
-) -> Float[Tensor, "batch labellings"]:
-    """How much each cloth lies as the flat garment does under each labelling.
+) -> Float[Tensor, "batch labelings"]:
+    """How much each cloth lies as the flat garment does under each labeling.
 
     A sheet: its x to the right and its y up. What has two layers: its front above its back.
     """
@@ -325,7 +325,7 @@ def _conventional(
     axes = torch.stack([level, level, 1.0 - level], 1)
     shown = (places - places.mean(1, keepdim=True)) * axes[:, None]
     lying = garments.features[:, :, :3].flatten(1)
-    names = garments.labellings
+    names = garments.labelings
     index = names[..., None] * 3 + torch.arange(3, device=names.device)
     lying = lying.gather(1, index.flatten(1)).view(*names.shape, 3)
     return (lying * shown[:, None]).sum((2, 3))

@@ -303,21 +303,21 @@ class _Views:
         )
 
     def _named_as(self, center: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
-        """The labelling of a hypothesis that is nearest to another's, and their mean distance."""
+        """The labeling of a hypothesis that is nearest to another's, and their mean distance."""
         gaps = self._apart(center, self.places[member])
         nearest = int(np.argmin(gaps))
-        return self._labellings[nearest], float(gaps[nearest])
+        return self._labelings[nearest], float(gaps[nearest])
 
     def _apart(
         self, center: "_Member", places: Float[np.ndarray, "*sets tokens 3"]
-    ) -> Float[np.ndarray, "*sets labellings"]:
-        """Mean distances of places from those of a hypothesis, by each labelling."""
-        moved = places[..., self._labellings, :] - self.places[center]
+    ) -> Float[np.ndarray, "*sets labelings"]:
+        """Mean distances of places from those of a hypothesis, by each labeling."""
+        moved = places[..., self._labelings, :] - self.places[center]
         return np.sqrt(np.square(moved).sum(axis=-1)).mean(axis=-1)
 
     @cached_property
-    def _labellings(self) -> Int[np.ndarray, "labellings tokens"]:
-        return self.tokens.labellings[self.tokens.is_labelling]
+    def _labelings(self) -> Int[np.ndarray, "labelings tokens"]:
+        return self.tokens.labelings[self.tokens.is_labeling]
 
 
 _Member = tuple[int, int]

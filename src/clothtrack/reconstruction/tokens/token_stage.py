@@ -1,8 +1,8 @@
 """What the token network learns: names of pixels, places of tokens, how sure it is of them.
 
-Which of a garment's look-alike labellings is true cannot be seen (`GarmentTokens.labellings`). The
+Which of a garment's look-alike labelings is true cannot be seen (`GarmentTokens.labelings`). The
 loss of a picture is a soft minimum over them, which hardens while training goes on; at first the
-labelling that lies most as the flat garment does is asked for, so that names settle at all.
+labeling that lies most as the flat garment does is asked for, so that names settle at all.
 
 Of several hypotheses of the places only the nearest learns ("winner takes all"; A. Guzman-Rivera,
 D. Batra, P. Kohli, 2012), and its likelihood rises. A small share of the loss goes to the others,
@@ -30,8 +30,8 @@ PLACE_WEIGHT, SPREAD_WEIGHT, EDGE_WEIGHT = 10.0, 0.1, 2.0
 """Weights of the loss beside 1 for names [nat]: places and edges are in parts of the garment."""
 
 CONVENTION_EXAMPLES, HARDENING_EXAMPLES = 6_000, 12_000
-"""Examples for which one labelling is asked for by convention, and after which the minimum over
-labellings is as hard as it gets."""
+"""Examples for which one labeling is asked for by convention, and after which the minimum over
+labelings is as hard as it gets."""
 
 _OTHERS = 0.08
 """Share of the loss of places that hypotheses which are not the nearest have together."""
@@ -55,8 +55,8 @@ class TokenExample:
         height, distance, features, pixels: as in `TokenInput`.
         pixel_tokens, pixel_shares: the name of each pixel: tokens around what it shows.
         places: of the tokens, in the picture's frame.
-        labellings, is_labelling, neighbors: of the garment (`GarmentTokens`).
-        conventional: how much each labelling lies as the flat garment does.
+        labelings, is_labeling, neighbors: of the garment (`GarmentTokens`).
+        conventional: how much each labeling lies as the flat garment does.
         size_m: the unit of length [m].
         weight: 0 where the picture shows no cloth, otherwise 1.
     """
@@ -68,16 +68,16 @@ class TokenExample:
     pixel_tokens: Int[np.ndarray, "asked shares"]
     pixel_shares: Float[np.ndarray, "asked shares"]
     places: Float[np.ndarray, "tokens 3"]
-    labellings: Int[np.ndarray, "labellings tokens"]
-    is_labelling: Bool[np.ndarray, " labellings"]
+    labelings: Int[np.ndarray, "labelings tokens"]
+    is_labeling: Bool[np.ndarray, " labelings"]
     neighbors: Int[np.ndarray, "tokens neighbors"]
-    conventional: Float[np.ndarray, " labellings"]
+    conventional: Float[np.ndarray, " labelings"]
     size_m: float
     weight: float = 1.0
 
 
-_WHOLE = ("pixels", "pixel_tokens", "labellings", "neighbors")
-_BOOLEAN = ("is_labelling",)
+_WHOLE = ("pixels", "pixel_tokens", "labelings", "neighbors")
+_BOOLEAN = ("is_labeling",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +91,8 @@ class TokenBatch:
     pixel_tokens: Tensor
     pixel_shares: Tensor
     places: Tensor
-    labellings: Tensor
-    is_labelling: Tensor
+    labelings: Tensor
+    is_labeling: Tensor
     neighbors: Tensor
     conventional: Tensor
     size_m: Tensor
@@ -151,9 +151,9 @@ class TokenStage(Stage):
         soft = max(0.0, 1.0 - done / HARDENING_EXAMPLES)
         score = -each.detach() / (HARDEST + (SOFTEST - HARDEST) * soft)
         if done < CONVENTION_EXAMPLES:
-            shown = batch.conventional.masked_fill(~batch.is_labelling, -torch.inf).argmax(1)
+            shown = batch.conventional.masked_fill(~batch.is_labeling, -torch.inf).argmax(1)
             score = score + _CONVENTION * functional.one_hot(shown, score.shape[1]) / HARDEST
-        share = score.masked_fill(~batch.is_labelling, -torch.inf).softmax(1)
+        share = score.masked_fill(~batch.is_labeling, -torch.inf).softmax(1)
         placed = ((parts.of_places + SPREAD_WEIGHT * parts.spreads) * taught).sum(-1)
         best = parts.best(batch)
         winner = nearest[..., 0].gather(1, best)[:, 0]
@@ -169,7 +169,7 @@ class TokenStage(Stage):
         }
 
     def measure(self, batch: TokenBatch) -> Mapping[str, Tensor]:
-        """Errors up to look-alike labelling, per picture.
+        """Errors up to look-alike labeling, per picture.
 
         Places are those of the likeliest hypothesis, and of the nearest one ("nearest_error"), in
         parts of the garment and in mm. "edge_ratio" is the length of edges between tokens over
@@ -182,7 +182,7 @@ class TokenStage(Stage):
         own = parts.at(index)
         best = own.best(batch)
         place = own.places[..., 0].gather(1, best)[:, 0]
-        apart = parts.places.amin(-1).masked_fill(~batch.is_labelling, torch.inf)
+        apart = parts.places.amin(-1).masked_fill(~batch.is_labeling, torch.inf)
         near = batch.neighbors
         answer = output.places[torch.arange(len(likeliest), device=place.device), likeliest]
         lengths = _lengths(answer[..., :3], near).mean((1, 2))
@@ -197,33 +197,33 @@ class TokenStage(Stage):
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Losses per picture, labelling and hypothesis; zero where a row is no labelling."""
+    """Losses per picture, labeling and hypothesis; zero where a row is no labeling."""
 
-    names: Float[Tensor, "batch labellings"]
-    places: Float[Tensor, "batch labellings hypotheses"]
-    spreads: Float[Tensor, "batch labellings hypotheses"]
-    edges: Float[Tensor, "batch labellings hypotheses"]
+    names: Float[Tensor, "batch labelings"]
+    places: Float[Tensor, "batch labelings hypotheses"]
+    spreads: Float[Tensor, "batch labelings hypotheses"]
+    edges: Float[Tensor, "batch labelings hypotheses"]
 
     @property
-    def of_places(self) -> Float[Tensor, "batch labellings hypotheses"]:
+    def of_places(self) -> Float[Tensor, "batch labelings hypotheses"]:
         """Loss of places and edges, with their weights."""
         return PLACE_WEIGHT * self.places + EDGE_WEIGHT * self.edges
 
-    def at(self, index: Int[Tensor, "batch labellings 1"]) -> "_Parts":
+    def at(self, index: Int[Tensor, "batch labelings 1"]) -> "_Parts":
         """The losses of one hypothesis per picture."""
         rows = (part.gather(-1, index) for part in (self.places, self.spreads, self.edges))
         return _Parts(self.names, *rows)
 
     def best(self, batch: TokenBatch) -> Int[Tensor, "batch 1"]:
-        """The labelling that fits best, each with its nearest hypothesis."""
+        """The labeling that fits best, each with its nearest hypothesis."""
         each = self.names + PLACE_WEIGHT * self.places.amin(-1)
-        return each.detach().masked_fill(~batch.is_labelling, torch.inf).argmin(1)[:, None]
+        return each.detach().masked_fill(~batch.is_labeling, torch.inf).argmin(1)[:, None]
 
 
 def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
-    picture, labelling = batch.is_labelling.nonzero(as_tuple=True)
+    picture, labeling = batch.is_labeling.nonzero(as_tuple=True)
     # What is token i is called name[i]: its pixels are, and the token of that name lies there.
-    name = batch.labellings[picture, labelling]
+    name = batch.labelings[picture, labeling]
     shares = batch.pixel_shares[picture]
     called = name.gather(1, batch.pixel_tokens[picture].flatten(1)).view_as(shares)
     loss = -(output.names.log_softmax(-1)[picture].gather(-1, called) * shares).sum((1, 2))
@@ -242,9 +242,9 @@ def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
     edges = (long - wanted).abs().mean((-2, -1))
 
     def table(values: Tensor) -> Tensor:
-        # Zero where a row is no labelling: its share of the loss is zero, and so is its gradient.
-        shape = (*batch.is_labelling.shape, *values.shape[1:])
-        return values.new_zeros(shape).index_put((picture, labelling), values)
+        # Zero where a row is no labeling: its share of the loss is zero, and so is its gradient.
+        shape = (*batch.is_labeling.shape, *values.shape[1:])
+        return values.new_zeros(shape).index_put((picture, labeling), values)
 
     return _Parts(table(names), table(places), table(spreads), table(edges))
 

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-_LABELLINGS = 8
-"""Most look-alike labellings that a garment has: a square's."""
+_LABELINGS = 8
+"""Most look-alike labelings that a garment has: a square's."""
 
 NEARLY_SQUARE = 0.85
-"""Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labellings."""
+"""Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labelings."""
 
 _ALIKE = 0.9
 """Outlines whose intersection over union is above this look alike in a crumpled cloth."""
@@ -30,9 +30,9 @@ class Layered:
     of_face: Float[np.ndarray, " faces"]
 
 
-def labellings(
+def labelings(
     layered: Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
-) -> tuple[Int[np.ndarray, "labellings tokens"], Bool[np.ndarray, " labellings"]]:
+) -> tuple[Int[np.ndarray, "labelings tokens"], Bool[np.ndarray, " labelings"]]:
     """Names under which the garment looks the same: a sheet's turns, a shirt's turning over.
 
     A sheet looks alike from both sides; of what is sewn, a mirror image shows the other layer. A
@@ -57,8 +57,8 @@ def labellings(
             continue
         moved = (places / unit)[:, ::-1] if swapped else places / unit
         rows.append(named(moved * sign, -sides if over else sides, places / unit, sides))
-    filled = rows + [rows[0]] * (_LABELLINGS - len(rows))
-    return np.array(filled), np.arange(_LABELLINGS) < len(rows)
+    filled = rows + [rows[0]] * (_LABELINGS - len(rows))
+    return np.array(filled), np.arange(_LABELINGS) < len(rows)
 
 
 def mirrored(

@@ -6,12 +6,12 @@ from typing import Any
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.tokens.learning_config import LearningConfig
-from clothtrack.reconstruction.tokens.token_examples import LabelledTokenExamples, TokenExamples
+from clothtrack.reconstruction.tokens.token_examples import LabeledTokenExamples, TokenExamples
 from clothtrack.reconstruction.tokens.token_learning import (
     TokenLearning,
     require_tokens,
@@ -78,7 +78,7 @@ def pretrain_tokens(
 
 def finetune_tokens(
     start: Weights,
-    labels: Sequence[LabelledRecording],
+    labels: Sequence[LabeledRecording],
     config: LearningConfig,
     folder: Path,
     *,
@@ -103,7 +103,7 @@ def finetune_tokens(
         StorageError: when the disk refuses.
     """
     network, training = require_tokens(start), config.tokens
-    examples = LabelledTokenExamples(labels, network, seed=training.seed)
+    examples = LabeledTokenExamples(labels, network, seed=training.seed)
     chosen, held = split_by_group(examples.groups, training.held_out_share, training.seed)
     data: dict[str, Any] = {
         START: start.runs,

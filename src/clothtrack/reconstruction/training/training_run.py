@@ -104,7 +104,7 @@ class TrainingRun:
         self.is_judged = False
         self._clock = time.process_time()
         chosen = [one for one in stage.trained.parameters() if one.requires_grad]
-        self.optimiser = torch.optim.Adam(chosen, lr=config.low_rate, fused=True)
+        self.optimizer = torch.optim.Adam(chosen, lr=config.low_rate, fused=True)
         self._average = None
         if config.average_examples:
             kept = math.exp(-order.size / config.average_examples)
@@ -156,7 +156,7 @@ class TrainingRun:
         rate = self.config.rate(self.step, self.order.steps_per_epoch, falls_from=self.falls_from)
         if self.config.freeze_statistics:
             freeze_statistics(self.stage)
-        for group in self.optimiser.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = rate
         device = self.processes.device
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bfloat16):
@@ -167,11 +167,11 @@ class TrainingRun:
                 f"the loss of {self.stage.name} is {loss} after step {self.step}; lower high_rate "
                 f"({self.config.high_rate}) and start again from the last progress"
             )
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimizer.zero_grad(set_to_none=True)
         scalars["loss"].backward()
         if self.config.gradient_limit:
             nn.utils.clip_grad_norm_(self.stage.trained.parameters(), self.config.gradient_limit)
-        self.optimiser.step()
+        self.optimizer.step()
         self.step += 1
         self.is_judged = False
         if self._average is not None:
@@ -236,7 +236,7 @@ class TrainingRun:
                 "falls_from": self.falls_from,
                 "average": None if self._average is None else self.averaged.trained.state_dict(),
                 "weights": self.stage.trained.state_dict(),
-                "optimiser": self.optimiser.state_dict(),
+                "optimizer": self.optimizer.state_dict(),
                 "generators": generators,
                 "cpu_s": self.cpu_s,
             }
@@ -255,7 +255,7 @@ class TrainingRun:
         require_same(path, stored, identity)
         try:
             load_tensors(self.stage.trained, document["weights"], path)
-            self.optimiser.load_state_dict(document["optimiser"])
+            self.optimizer.load_state_dict(document["optimizer"])
             self.step, self.stale = document["step"], document["stale"]
             self.best_score, self.best_step = document["best_score"], document["best_step"]
             generators = document["generators"]

@@ -27,14 +27,14 @@ def load_tracked(path: Path) -> "TrackedTrajectory":
 
 
 def warn_of_age(
-    tracked: "TrackedTrajectory", recording: "Recording", *, artefact: Path, folder: Path
+    tracked: "TrackedTrajectory", recording: "Recording", *, artifact: Path, folder: Path
 ) -> None:
     """Warn when a recording is not what was tracked: corrected since, or another one of its name.
 
     Args:
         tracked: the tracked trajectory.
         recording: what is taken for its recording.
-        artefact: where the tracked trajectory lies, for people.
+        artifact: where the tracked trajectory lies, for people.
         folder: where the recording lies, for people.
     """
     from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -43,7 +43,7 @@ def warn_of_age(
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "
             "track it again",
-            artefact,
+            artifact,
             folder,
         )
 

@@ -10,7 +10,7 @@ from clothtrack.geometry.closest_point import closest_on_triangle, interpolate
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledPicture:
+class LabeledPicture:
     """A depth picture of a cloth of which every vertex is known.
 
     Attributes:
@@ -27,7 +27,7 @@ class LabelledPicture:
     faces: Int[np.ndarray, "height width"]
     positions: Float[np.ndarray, "vertices 3"]
 
-    def mirrored(self) -> "LabelledPicture":
+    def mirrored(self) -> "LabeledPicture":
         """The same seen in a mirror: the world's x has the other sign."""
         pose = self.camera.world_from_camera.copy()
         # Two reflections, of the world and of the picture's columns, make a camera again.
@@ -36,7 +36,7 @@ class LabelledPicture:
         camera = replace(
             self.camera, cx=self.camera.width - 1 - self.camera.cx, world_from_camera=pose
         )
-        return LabelledPicture(
+        return LabeledPicture(
             self.depth_m[:, ::-1],
             self.mask[:, ::-1],
             camera,
@@ -44,7 +44,7 @@ class LabelledPicture:
             self.positions * (-1.0, 1.0, 1.0),
         )
 
-    def turned(self, angle: float) -> "LabelledPicture":
+    def turned(self, angle: float) -> "LabeledPicture":
         """Camera and cloth turned about the vertical through the origin [rad]."""
         positions = self.positions @ about_vertical(angle).T
         return replace(self, camera=self.camera.turned(angle), positions=positions)
@@ -52,7 +52,7 @@ class LabelledPicture:
 
 def faces_of_points(
     points: Float[np.ndarray, "points 3"],
-    picture: LabelledPicture,
+    picture: LabeledPicture,
     faces: Int[np.ndarray, "faces 3"],
     *,
     cut_m: float,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.report.artefact_pages import (
+from clothtrack.report.artifact_pages import (
     IndexEntry,
     summary_of,
     write_index,
