@@ -55,13 +55,11 @@ class ReportConfig:
     Attributes:
         video_frames: at most this many frames in the video, evenly chosen, and those of labels.
         scene_vertices: at most this many vertices over all frames of the scene.
-        scene_points: observed points kept per frame of the scene.
         overlay: how the video looks.
     """
 
     video_frames: int = 360
     scene_vertices: int = 750_000
-    scene_points: int = SCENE_POINTS
     overlay: OverlayConfig = field(default_factory=OverlayConfig)
 
 
@@ -151,7 +149,7 @@ def _contents(
         recording,
         [overlay.frame(step) for step in steps],
         scene_view(tracked, recording, width=800, height=600),
-        [thinned(clouds[step], config.scene_points) for step in steps],
+        [thinned(clouds[step], SCENE_POINTS) for step in steps],
         mesh=tracked.mesh,
         positions=tracked.positions[steps],
         visible=tracked.visible[steps],

@@ -57,42 +57,48 @@ class Vertices:
         return self.positions
 
 
+_ALPHA, _BETA_M = 3.0, 0.1
+"""Weight of coherence against fit (0.5 in CDCPD), and width [m] of the kernel within which vertices
+move alike."""
+
+_LENGTHS = 0.95, 1.0
+"""Bounds of an edge, as shares of its length in the first mesh; CDCPD bounds it from above alone.
+
+These and the two above were chosen by the true error of one action of a towel and one of a T-shirt,
+out of 12 combinations; CDCPD's alpha and one-sided lengths did worse."""
+
+_SWEEPS = 20
+"""Passes over all edges."""
+
+_OUTLIERS = 0.1
+"""Share of the cloud that is not cloth, as in CDCPD."""
+
+_START_SIGMA_M = 0.01
+"""Standard deviation that a frame's registration starts from [m]: how far the cloth may move
+between frames."""
+
+_REST_HEIGHT_M = 0.0015
+"""No vertex lies lower over the table [m]."""
+
+_VISIBILITY_WIDTH = 320
+"""Width of the z-buffer that decides visibility [pixels]."""
+
+
 @dataclass(frozen=True)
 class PeerConfig:
     """Settings of the peer.
 
-    `alpha`, `beta_m` and `lengths` were chosen by the true error of one action of a towel and one
-    of a T-shirt, out of 12 combinations; CDCPD's alpha and one-sided lengths did worse.
-
     Attributes:
-        alpha: weight of coherence against fit; 0.5 in CDCPD.
-        beta_m: width of the kernel within which vertices move alike [m].
-        outliers: share of the cloud that is not cloth; 0.1 in CDCPD.
         iterations: most steps of expectation and maximization per frame.
         modes: of the kernel's low-rank form.
         neighbors: nearest cloud points that a vertex may correspond to.
-        start_sigma_m: standard deviation that a frame's registration starts from [m]: how far the
-            cloth may move between frames.
-        lengths: bounds of an edge, as shares of its length in the first mesh; CDCPD bounds
-            them from above alone.
-        sweeps: passes over all edges.
-        rest_height_m: no vertex lies lower over the table [m].
         use_tool: held vertices follow the tool, as CDCPD's grasped points do.
-        visibility_width: width [pixels] of the z-buffer that decides visibility.
     """
 
-    alpha: float = 3.0
-    beta_m: float = 0.1
-    outliers: float = 0.1
     iterations: int = 30
     modes: int = 150
     neighbors: int = 10
-    start_sigma_m: float = 0.01
-    lengths: tuple[float, float] = (0.95, 1.0)
-    sweeps: int = 20
-    rest_height_m: float = 0.0015
     use_tool: bool = True
-    visibility_width: int = 320
 
 
 def follow(
@@ -112,7 +118,7 @@ def follow(
         config: settings of the peer.
         device: "cpu" or "cuda:0", for visibility.
     """
-    cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
+    cameras = tuple(camera.resized(_VISIBILITY_WIDTH) for camera in recording.cameras)
     visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=0.003, device=device)
     start = Vertices(mesh.vertices.astype(np.float64)[None])
 
@@ -128,7 +134,7 @@ def follow(
         calibrate=Uncalibrated(partial(_pick, recording=recording, mesh=mesh, hold=hold)),
         dynamics=lambda _: _Still(),
         align=align,
-        line_search=_Projection(mesh, config, recording.table),
+        line_search=_Projection(mesh, recording.table),
         align_last=no_final_alignment,
         anchor=no_anchors,
         at_rest=never_at_rest,
@@ -150,15 +156,15 @@ def drifted(
     from biocpd import DeformableRegistration
 
     # In units of the kernel's width, so that single precision has digits to spare.
-    middle, unit = vertices.mean(axis=0), config.beta_m
+    middle, unit = vertices.mean(axis=0), _BETA_M
     source, target = (vertices - middle) / unit, (cloud - middle) / unit
     registration = DeformableRegistration(
         X=target,
         Y=source[seen],
-        sigma2=(config.start_sigma_m / unit) ** 2,
-        alpha=config.alpha,
+        sigma2=(_START_SIGMA_M / unit) ** 2,
+        alpha=_ALPHA,
         beta=1.0,
-        w=config.outliers,
+        w=_OUTLIERS,
         k=config.neighbors,
         num_eig=config.modes,
         low_rank_method="pivoted_cholesky",
@@ -189,9 +195,9 @@ def _carried(
 class _Projection:
     """Takes the whole correction, holds what the tool holds, and puts edges and table right."""
 
-    def __init__(self, mesh: ClothMesh, config: PeerConfig, table: Table | None) -> None:
+    def __init__(self, mesh: ClothMesh, table: Table | None) -> None:
         """Take the rest lengths from the first mesh."""
-        self._edges, self._config, self._table = EdgeLengths(mesh), config, table
+        self._edges, self._table = EdgeLengths(mesh), table
 
     def __call__(
         self,
@@ -208,11 +214,8 @@ class _Projection:
         if action.motion is not None:
             vertices[action.motion.vertices] = action.motion.at(1.0)[0]
             fixed[action.motion.vertices] = True
-        config = self._config
-        vertices = self._edges.project(
-            vertices, fixed, lengths=config.lengths, sweeps=config.sweeps
-        )
-        vertices = _above_table(vertices, self._table, config.rest_height_m)
+        vertices = self._edges.project(vertices, fixed, lengths=_LENGTHS, sweeps=_SWEEPS)
+        vertices = _above_table(vertices, self._table)
         return Corrected(Vertices(vertices[None]))
 
 
@@ -315,9 +318,9 @@ def _edge_colors(edges: Int[np.ndarray, "edges 2"], count: int) -> list[Int[np.n
 
 
 def _above_table(
-    vertices: Float[np.ndarray, "vertices 3"], table: Table | None, rest_height_m: float
+    vertices: Float[np.ndarray, "vertices 3"], table: Table | None
 ) -> Float[np.ndarray, "vertices 3"]:
     if table is None:
         return vertices
-    sunk = np.maximum(rest_height_m - table.heights(vertices), 0.0)
+    sunk = np.maximum(_REST_HEIGHT_M - table.heights(vertices), 0.0)
     return vertices + sunk[:, None] * table.normal

@@ -27,6 +27,7 @@ from clothtrack_lab.published_networks.canonical_frame import conventional
 from clothtrack_lab.published_networks.model import MeshReconstructor, network_of
 from clothtrack_lab.published_networks.refinement import (
     VISIBILITY_TOLERANCE_M,
+    VISIBILITY_WIDTH,
     RefinementConfig,
     Refiner,
 )
@@ -165,7 +166,7 @@ def _taken_apart(result: NetworkMesh, picture: DepthInput, device: str) -> Netwo
         return result
     mobility = None
     if result.refinement is not None:
-        camera = picture.camera.resized(RefinementConfig().visibility_width)
+        camera = picture.camera.resized(VISIBILITY_WIDTH)
         visible = VisibilityCheck(
             mesh.faces, (camera,), tolerance_m=VISIBILITY_TOLERANCE_M, device=device
         )(mesh.vertices.astype(np.float64))

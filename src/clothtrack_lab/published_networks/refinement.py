@@ -47,6 +47,9 @@ ROLL_S = 0.1
 _OFF_MESH_M = 0.02
 """A canonical coordinate this far from the mesh counts 1 / e [m]."""
 
+VISIBILITY_WIDTH = 320
+"""Width of the z-buffer that decides visibility [pixels]."""
+
 VISIBILITY_TOLERANCE_M = 0.003
 """How far behind the z-buffer's surface a vertex is still visible [m]: below the distance of two
 layers."""
@@ -67,7 +70,6 @@ class RefinementConfig(Checked):
             not only its displacement (the reference: 0 when it plans, 0.01 when it is evaluated).
         outlier_m: an observed point that misses its place on the mesh by this counts a quarter [m]:
             its canonical coordinate is wrong (S. Geman, D. McClure, 1987).
-        visibility_width: width [pixels] of the z-buffer that decides visibility.
         strength: of the pull on visible vertices while the solver carries a correction out.
     """
 
@@ -77,7 +79,6 @@ class RefinementConfig(Checked):
     rigidity_weight: NotNegative = 10.0
     laplacian_weight: NotNegative = 0.0
     outlier_m: Positive = 0.02
-    visibility_width: Count = 320
     strength: Fraction = 0.999
 
     def __post_init__(self) -> None:
@@ -130,7 +131,7 @@ class Refiner:
         self._mesh, self._observation, self._config = mesh, observation, config
         self._table = table
         self._solver_config = SolverConfig(table=table)
-        cameras = tuple(one.resized(config.visibility_width) for one in observation.cameras)
+        cameras = tuple(one.resized(VISIBILITY_WIDTH) for one in observation.cameras)
         self._visible = VisibilityCheck(
             mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=device
         )

@@ -34,6 +34,21 @@ CLOTH = ClothParameters(
 is no motion, and gives a little. It is stiff: what a network places too near together must slide
 apart, where soft cloth would fall into wrinkles that nobody saw."""
 
+_SMOOTHNESS = 0.5
+"""Weight of bending away from a flat sheet, against 1 for a vertex that is well seen."""
+
+_LAYER_WEIGHT = 0.02
+"""Weight of a vertex staying with the other layer of its garment."""
+
+_POSE_WEIGHT = 1e-5
+"""Weight of the rigidly aligned flat garment; decides only where nothing else does."""
+
+_OFF_TEMPLATE_M = 0.02
+"""A canonical coordinate this far from the template counts 1 / e [m]."""
+
+_PULL_S = 0.02
+"""Length of a step of the solver that pulls the fit straight [s]."""
+
 NO_CANONICAL = "the template has no canonical coordinates; make it with clothtrack's garments"
 
 
@@ -43,31 +58,20 @@ class TemplateFitConfig:
 
     Attributes:
         vertex_count: about how many vertices the template gets.
-        smoothness: weight of bending away from a flat sheet.
-        layer_weight: weight of a vertex staying with the other layer of its garment.
         warp_weight: weight of the warp field.
-        pose_weight: weight of the rigidly aligned flat garment; decides only where nothing else
-            does.
-        off_template_m: a canonical coordinate this far from the template counts 1 / e [m].
         outlier_m: a point that the fit misses by this counts a quarter [m]: its canonical
             coordinate is wrong (S. Geman, D. McClure, 1987).
         rounds: fits, each with the weights of the one before.
         pulls: steps of the solver that pull the fit straight; 0 leaves it as it is.
-        pull_s: length of a step [s].
         pull: strength of the seen vertices' pull in each (`simulation.state.Attachment`).
         thickness_m: distance that layers keep [m].
     """
 
     vertex_count: int = 1000
-    smoothness: float = 0.5
-    layer_weight: float = 0.02
     warp_weight: float = 0.02
-    pose_weight: float = 1e-5
-    off_template_m: float = 0.02
     outlier_m: float = 0.02
     rounds: int = 3
     pulls: int = 12
-    pull_s: float = 0.02
     pull: float = 0.9
     thickness_m: float = 0.003
 
@@ -139,7 +143,7 @@ def _least_squares(
     face, blend = closest_on_mesh(seen.canonical, flat, template.faces)
     shows = _barycentric(template, face, blend)
     away = np.linalg.norm(shows @ flat - seen.canonical, axis=1)
-    weight = seen.confidence * np.exp(-((away / config.off_template_m) ** 2)) + 1e-6
+    weight = seen.confidence * np.exp(-((away / _OFF_TEMPLATE_M) ** 2)) + 1e-6
     frame = align(seen.points, seen.canonical, weight)
     prior, target = _prior(template, config, frame.to_world(flat), warp)
     trusted, vertices = weight, template.vertices
@@ -170,9 +174,9 @@ def _prior(
     """Normal matrix and right side of all that is wanted of the mesh without a seen point."""
     bends = smoothness_matrix(template)
     count = template.vertex_count
-    matrix = config.smoothness * (bends.T @ bends)
-    matrix = matrix + config.pose_weight * sparse.eye_array(count)
-    target = config.pose_weight * pose
+    matrix = _SMOOTHNESS * (bends.T @ bends)
+    matrix = matrix + _POSE_WEIGHT * sparse.eye_array(count)
+    target = _POSE_WEIGHT * pose
     if warp is not None:
         matrix = matrix + config.warp_weight * sparse.eye_array(count)
         target = target + config.warp_weight * warp
@@ -180,7 +184,7 @@ def _prior(
     if inflated is not None and np.ptp(inflated[:, 2]) > 0:
         face, blend = closest_on_mesh(inflated * (1.0, 1.0, -1.0), inflated, template.faces)
         apart = sparse.eye_array(count) - _barycentric(template, face, blend)
-        matrix = matrix + config.layer_weight * (apart.T @ apart)
+        matrix = matrix + _LAYER_WEIGHT * (apart.T @ apart)
     return matrix.tocsc(), target
 
 
@@ -202,7 +206,7 @@ def _pulled_straight(
     attachment = Attachment(start[None], pull[None])
     for _ in range(config.pulls):
         solver.set_velocities(np.zeros_like(start))
-        solver.step(config.pull_s, attachment)
+        solver.step(_PULL_S, attachment)
     return solver.positions[0].astype(np.float64)
 
 

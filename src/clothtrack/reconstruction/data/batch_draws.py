@@ -10,7 +10,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Generator, Tensor
 
-from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.render_config import (
+    LEAST_DISTANCE_M,
+    MOST_TILT_DEG,
+    USUAL_DISTANCE_M,
+    RenderConfig,
+)
 
 _HELD_HEIGHT = 0.3
 """Cloth that is higher than this, over its extent, is lifted: something holds it at its top."""
@@ -135,7 +140,7 @@ def _tilted_down(config: RenderConfig, even: _Even) -> Float[Tensor, "batch 3 3"
     """Axes of cameras that look down, most of them nearly straight."""
     tilt = torch.randn(even.count, 2, generator=even.generator, dtype=torch.float64)
     tilt = torch.deg2rad(torch.tensor(config.tilt_deg)) * tilt
-    heading, angle = 2.0 * torch.pi * even(), torch.deg2rad(even.between(0.0, config.most_tilt_deg))
+    heading, angle = 2.0 * torch.pi * even(), torch.deg2rad(even.between(0.0, MOST_TILT_DEG))
     aside = angle[:, None] * torch.stack([heading.cos(), heading.sin()], 1)
     tilt = torch.where((even() < config.tilted)[:, None], aside, tilt)
     angle = tilt.norm(dim=1).clamp(min=1e-12)
@@ -164,9 +169,9 @@ def _positions(
     target[:, 0] += extent * even.between(-config.offset, config.offset)
     target[:, 1] += extent * even.between(-config.offset, config.offset)
     distance = extent * even.between(*config.distance)
-    distance = torch.minimum(distance, (1.2 * extent).clamp(min=config.usual_m))
+    distance = torch.minimum(distance, (1.2 * extent).clamp(min=USUAL_DISTANCE_M))
     # Clear of cloth that is lifted towards it, too.
-    distance = distance.clamp(min=config.least_distance_m) + 0.5 * (high - low)[:, 2]
+    distance = distance.clamp(min=LEAST_DISTANCE_M) + 0.5 * (high - low)[:, 2]
     return target + distance[:, None] * backwards
 
 

@@ -68,8 +68,15 @@ _AGAIN = 0.6
 _LOFT = 0.3
 """Largest loft of a crease over the length of an edge: edges into it keep their lengths."""
 
+_LOFT_M = (0.0003, 0.006)
+"""How much farther layers are apart at the creases of a pressed stack [m], least and largest; its
+logarithm is drawn evenly. Hands do not iron."""
+
 SOFTEST = 0.6
 """Least share of its height to which a soft fold is pressed: its bulges would lose their length."""
+
+_DRIFT_M = 0.1
+"""How far aside a lifted vertex of a garment of `REFERENCE_SIZE_M` is let go at most [m]."""
 
 _HELD_SHARE = (0.15, 1.15)
 """How high a held vertex is lifted, over its distance from the farthest vertex of the flat garment:
@@ -171,7 +178,7 @@ class Crumpler:
         recipe = drawn(self.config.shares, rng)
         pressed = recipe in NEAT and rng.random() < self.config.pressed
         if pressed:
-            loft_m = float(np.exp(rng.uniform(*np.log(self.config.loft_m))))
+            loft_m = float(np.exp(rng.uniform(*np.log(_LOFT_M))))
             self._loft_m = min(loft_m, _LOFT * self._folds.layers.edge_m)
         for _ in range(self.config.states):
             if recipe in NEAT:
@@ -340,8 +347,7 @@ class Crumpler:
         self, vertices: int | np.ndarray, height_m: float, rng: np.random.Generator
     ) -> Attachment:
         """Lift vertices that move alike, and wait a moment; what holds them at the end."""
-        config = self.config
-        drift_m = rng.uniform(0.0, config.drift_m * self._scale)
+        drift_m = rng.uniform(0.0, _DRIFT_M * self._scale)
         way = _aside(drift_m, rng) + [0.0, 0.0, height_m]
         speed = self._speed(_LIFT_SPEED)
         steps = max(2, round(float(np.linalg.norm(way)) / speed / STEP_S))

@@ -34,11 +34,8 @@ class CrumplingConfig:
         turned_over: share of episodes that begin with the garment's other side up.
         pressed: share of episodes whose neat folds are pressed flat and stay so; others the solver
             lets go, which makes them soft.
-        loft_m: how much farther layers are apart at the creases of a pressed stack [m]; its
-            logarithm is drawn evenly. Hands do not iron.
         wrinkled: share of flat and folded states that have fine wrinkles.
         lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
-        drift_m: how far aside it is let go [m].
         two_pickers: share of pick-and-places with a second gripper that moves alike.
         folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
             layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
@@ -69,10 +66,8 @@ class CrumplingConfig:
     )
     turned_over: float = 0.5
     pressed: float = 0.75
-    loft_m: tuple[float, float] = (0.0003, 0.006)
     wrinkled: float = 0.7
     lift_m: tuple[float, float] = (0.08, 0.25)
-    drift_m: float = 0.1
     two_pickers: float = 0.3
     folded: float = 0.15
     middle: float = 0.15

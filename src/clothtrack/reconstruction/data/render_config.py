@@ -19,6 +19,13 @@ SENSORS = {
 structured light as Kinect v1 and Xtion, with steps of 3 mm at 1 m, wide shadows and no wave; time
 of flight as Kinect v2 and Azure, with fine steps and edges that mix both depths."""
 
+LEAST_DISTANCE_M, USUAL_DISTANCE_M = 0.45, 1.6
+"""No camera is nearer than the one, nor farther than the other unless the cloth is too large for
+it [m]."""
+
+MOST_TILT_DEG = 35.0
+"""A camera that looks from aside is this far from the vertical at most [deg]."""
+
 
 @dataclass(frozen=True)
 class RenderConfig:
@@ -26,12 +33,10 @@ class RenderConfig:
 
     Attributes:
         distance: from the camera to the middle of the cloth, over the cloth's extent.
-        least_distance_m, usual_m: no camera is nearer than the one, nor farther than the other
-            unless the cloth is too large for it [m].
         focal: focal length [pixels].
         offset: the optical axis passes the middle of the cloth by up to this, over its extent.
         tilt_deg: standard deviation of the optical axis from the vertical [deg].
-        tilted, most_tilt_deg: share of cameras that look from aside, by any angle up to this [deg].
+        tilted: share of cameras that look from aside, by any angle up to `MOST_TILT_DEG`.
         sensors: how badly the kinds of `SENSORS` measure; they come equally often.
         noise_range: the sensor's noise and drop-out are multiplied by a number between these.
         mask_jitter: probability that the mask is some pixels too large, and that it is too small.
@@ -40,13 +45,10 @@ class RenderConfig:
     """
 
     distance: tuple[float, float] = (1.2, 2.8)
-    least_distance_m: float = 0.45
-    usual_m: float = 1.6
     focal: tuple[float, float] = (200.0, 450.0)
     offset: float = 0.3
     tilt_deg: float = 4.0
     tilted: float = 0.25
-    most_tilt_deg: float = 35.0
     sensors: tuple[SensorConfig, ...] = tuple(SENSORS.values())
     noise_range: tuple[float, float] = (0.0, 2.0)
     mask_jitter: float = 0.15

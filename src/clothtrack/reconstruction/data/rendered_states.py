@@ -15,7 +15,12 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
-from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.render_config import (
+    LEAST_DISTANCE_M,
+    MOST_TILT_DEG,
+    USUAL_DISTANCE_M,
+    RenderConfig,
+)
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
 from clothtrack.reconstruction.training.batches import Draw
@@ -186,7 +191,7 @@ def _camera_above(
     tilt_rad = np.radians(config.tilt_deg) * rng.standard_normal(2)
     if rng.random() < config.tilted:
         heading = rng.uniform(0.0, 2.0 * np.pi)
-        angle = np.radians(rng.uniform(0.0, config.most_tilt_deg))
+        angle = np.radians(rng.uniform(0.0, MOST_TILT_DEG))
         tilt_rad = angle * np.array([np.cos(heading), np.sin(heading)])
     tilt, _ = cv2.Rodrigues(np.append(tilt_rad, 0.0))
     pose = np.eye(4)
@@ -194,8 +199,8 @@ def _camera_above(
     target = 0.5 * (low + high)
     target[:2] += extent * rng.uniform(-config.offset, config.offset, 2)
     # Clear of cloth that is lifted towards it, too.
-    distance = min(extent * rng.uniform(*config.distance), max(config.usual_m, 1.2 * extent))
-    distance = max(config.least_distance_m, distance)
+    distance = min(extent * rng.uniform(*config.distance), max(USUAL_DISTANCE_M, 1.2 * extent))
+    distance = max(LEAST_DISTANCE_M, distance)
     distance += 0.5 * float(high[2] - low[2])
     pose[:3, 3] = target - distance * pose[:3, 2]
     focal = rng.uniform(*config.focal)
