@@ -10,8 +10,8 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,8 @@ from clothtrack.reconstruction import (
     NetworkMesh,
     design_of,
     load_model,
-    open_states,
 )
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording, cloth_picture
-from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.design import Reconstructor as NetworkOfPictures
 from clothtrack.reconstruction.model_loading import designs
 from clothtrack.reconstruction.token_meshes import TokenMeshes
@@ -88,7 +86,6 @@ class Tuner:
         held_out_share: of every stage; None: as the training says.
         seed: of the training.
         device: where it computes.
-        old: folders of simulated states by garment, mixed in where the training asks for them.
     """
 
     store: Path
@@ -97,7 +94,6 @@ class Tuner:
     held_out_share: float | None = None
     seed: int = 0
     device: str = "cpu"
-    old: Mapping[str, Path] = field(default_factory=dict)
 
     def tuned(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
         """The weights after fine-tuning on these labels; trained where they are not kept.
@@ -114,7 +110,6 @@ class Tuner:
                 labels,
                 config,
                 folder,
-                old=self._old(config, labels[0].kind),
                 processes=Processes(device=self.device),
             )
             if outcome.model is None:
@@ -150,14 +145,7 @@ class Tuner:
             "labels": digest_of(labels),
             "config": asdict(config),
         }
-        if old := self._old(config, labels[0].kind):
-            settings["old"] = [len(one.shards) for one in old]
         return self.store / labels[0].kind / _digest(settings)
-
-    def _old(self, config: Any, kind: str) -> tuple[StateSet, ...]:
-        loops = [getattr(config, one.name) for one in fields(config)]
-        mixed = any(_is_loop(one) and one.old_share > 0.0 for one in loops)
-        return (open_states(self.old[kind]),) if mixed and kind in self.old else ()
 
 
 def _is_loop(value: object) -> bool:

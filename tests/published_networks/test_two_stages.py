@@ -94,7 +94,7 @@ def test_pretrained_weights_are_finetuned(towels, capsys):
     labels_of(labels)
     capsys.readouterr()
     words = ["finetune", str(run / "model.safetensors"), str(labels), "--output", str(tuned)]
-    more = ["--json", "--old", str(towels / "states"), "--seed", "3"]
+    more = ["--json", "--seed", "3"]
     assert cli.main([*words, *more, *settings("canonicalisation.high_rate=1e-3")]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["stages"]["canonicalisation"]["status"] in ("finished", "converged")
@@ -165,15 +165,6 @@ def test_weights_for_another_garment_are_refused(towels, capsys):
     words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
     assert cli.main(words) == 1
     assert "is for 'tshirt', the labels are of 'towel'" in capsys.readouterr().err
-
-
-def test_old_states_that_are_asked_for_must_be_given(towels, capsys):
-    path = towels / "towel.safetensors"
-    start_of(path, "towel")
-    labels_of(towels / "labels")
-    words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
-    assert cli.main([*words, "--set", "completion.old_share=0.5"]) == 1
-    assert "old states" in capsys.readouterr().err
 
 
 def test_a_network_that_nobody_knows_is_refused(tmp_path):

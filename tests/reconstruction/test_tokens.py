@@ -386,16 +386,13 @@ def test_labels_teach_the_token_network(folders: list[Path], tmp_path: Path) -> 
     start = load_weights(pretrain_tokens(sets, _learning(), tmp_path / "start").model)
     mesh = meshes()["rectangle"]
     labels = [_labeled(mesh, name) for name in ("one", "two", "three")]
-    config = _learning(epochs=20, high_rate=3e-3).mixing(0.2)
-    with pytest.raises(InvalidConfigError, match="no old states"):
-        finetune_tokens(start, labels, config, tmp_path / "none")
-    learned = finetune_tokens(start, labels, config, tmp_path / "tuned", old=sets)
+    config = _learning(epochs=20, high_rate=3e-3)
+    learned = finetune_tokens(start, labels, config, tmp_path / "tuned")
     outcome = learned.stages["tokens"]
     # The start is measured too: better than that is better than doing nothing.
     assert outcome.best_step > 0
     weights = load_weights(learned.model)
     assert weights.provenance["data"]["labels"] == 6
-    assert weights.provenance["data"]["old_states"] == 16
     TokenReconstructor.of(weights)
 
 

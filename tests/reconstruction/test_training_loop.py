@@ -16,7 +16,7 @@ from torch import nn
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.reconstruction.training import batches
-from clothtrack.reconstruction.training.batches import BatchOrder, Mixture, loader, split_by_group
+from clothtrack.reconstruction.training.batches import BatchOrder, loader, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
@@ -299,43 +299,12 @@ def test_examples_made_elsewhere_are_the_same(line, monkeypatch):
         assert torch.equal(one.targets, other.targets)
 
 
-def test_a_mixture_has_its_share_of_others():
-    class Constant(list):
-        def __getitem__(self, draw):
-            return super().__getitem__(draw[0])
-
-    mixture = Mixture(Constant(["new"] * 50), Constant(["old"] * 7), 0.3, seed=1)
-    drawn = [mixture[index, epoch] for index in range(50) for epoch in range(40)]
-    assert len(mixture) == 50
-    assert drawn.count("old") / len(drawn) == pytest.approx(0.3, abs=0.04)
-    assert drawn == [mixture[index, epoch] for index in range(50) for epoch in range(40)]
-
-
 def test_statistics_are_frozen_in_every_depth():
     nested = nn.Sequential(nn.Sequential(nn.BatchNorm2d(2), nn.Dropout()), nn.BatchNorm3d(2))
     freeze_statistics(nested.train())
     assert not nested[0][0].training
     assert not nested[1].training
     assert nested[0][1].training
-
-
-def test_whether_an_example_is_replaced_says_nothing_about_the_others():
-    """Examples are drawn from [seed, epoch, index]; the mixture must not use the same numbers."""
-
-    class Coin:
-        def __len__(self):
-            return 50
-
-        def __getitem__(self, draw):
-            return np.random.default_rng([1, draw[1], draw[0]]).random()
-
-    class Other(Coin):
-        def __getitem__(self, draw):
-            return None
-
-    mixture = Mixture(Coin(), Other(), 0.3, seed=1)
-    kept = [mixture[index, epoch] for index in range(50) for epoch in range(40)]
-    assert np.mean([one for one in kept if one is not None]) == pytest.approx(0.5, abs=0.03)
 
 
 def test_a_loss_that_is_no_number_never_reaches_the_weights(line, tmp_path):

@@ -189,7 +189,6 @@ def finetune(
     *,
     output: Path | str,
     training: Literal["finetune_short", "finetune", "paper"] = "finetune_short",
-    old: Path | str | None = None,
     settings: Settings = (),
     device: str = "cpu",
     seed: int = 0,
@@ -203,7 +202,6 @@ def finetune(
         output: folder for progress, scalars and model.safetensors.
         training: briefly at a high rate, slowly until nothing improves, or the paper's 1,000 and
             2,000 epochs.
-        old: folder of simulated states to mix in, against forgetting: every fourth example.
         settings: changes, such as tokens.high_rate=1e-4.
         device: where to compute: cpu, or cuda:0.
         seed: of order and augmentation.
@@ -211,12 +209,11 @@ def finetune(
 
     Raises:
         InvalidConfigError: a setting is wrong, or there are no labels.
-        InvalidResultError: weights, labels or states cannot be read.
+        InvalidResultError: weights or labels cannot be read.
     """
     require_learning()
     from clothtrack.files.settings import with_settings
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
-    from clothtrack.reconstruction.data.state_store import open_states
     from clothtrack.reconstruction.model_loading import design_of
     from clothtrack.reconstruction.training.checkpoint import load_weights
 
@@ -232,16 +229,9 @@ def finetune(
     start = load_weights(Path(weights))
     design = design_of(start)
     config = with_settings(design.configuration(training, seed=seed), settings)
-    if old is not None:
-        config = config.mixing(_OLD_SHARE)
-    old_states = [] if old is None else [open_states(Path(old))]
     labeled = [read_labels(file) for file in files]
-    learn = partial(design.finetune, start, labeled, config, Path(output), old=old_states)
+    learn = partial(design.finetune, start, labeled, config, Path(output))
     return _learn(learn, device, progress)
-
-
-_OLD_SHARE = 0.25
-"""How often an example of `finetune` is an old one, if old ones are given."""
 
 
 def _learn(

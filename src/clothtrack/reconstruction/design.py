@@ -79,12 +79,11 @@ class Design:
         load: `Reconstructor` of weights, for a kind of garment and a device.
         configuration: how it is trained: a frozen dataclass by the name of a training ("pretrain",
             "finetune", "finetune_short" or "paper"), a name of `networks` and a seed. Its fields
-            are the settings of `pretrain` and `finetune`; `mixing(old_share)` gives the same with
-            old states mixed in.
+            are the settings of `pretrain` and `finetune`.
         pretrain: from states, a configuration and a folder, optionally `start` (file of weights),
             `hours` (of wall time), `processes` and `progress`.
-        finetune: from weights, labeled recordings, a configuration and a folder, optionally `old`
-            (states), `processes` and `progress`.
+        finetune: from weights, labeled recordings, a configuration and a folder, optionally
+            `processes` and `progress`.
     """
 
     name: str

@@ -59,8 +59,7 @@ def _data(data: Mapping[str, Any], kind: str) -> str:
     if "recordings" in data:
         return (
             f"{data['labels']} pseudo-labels of {len(data['recordings'])} tracked recordings, "
-            f"beginning with a trained network; {data['old_states']} states of the old cloth "
-            "mixed in."
+            "beginning with a trained network."
         )
     size = " by ".join(f"{100 * length:.0f}" for length in DEFAULT_SIZES_M[kind])
     return (

@@ -95,8 +95,3 @@ class PublishedConfig:
         stages = {stage: replace(training_preset(training, stage), seed=seed) for stage in STAGES}
         sizes = preset(network) if training.startswith("pretrain") else None
         return cls(**stages, network=sizes)
-
-    def mixing(self, old_share: float) -> "PublishedConfig":
-        """Return the same with a share of the examples replaced by old states."""
-        stages = {stage: replace(getattr(self, stage), old_share=old_share) for stage in STAGES}
-        return replace(self, **stages)

@@ -15,7 +15,7 @@ from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
-from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
+from clothtrack.reconstruction.training.batches import Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import (
     PACKAGES,
     Weights,
@@ -100,7 +100,6 @@ def finetune(
     config: PublishedConfig,
     folder: Path,
     *,
-    old: Sequence[StateSet] = (),
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
@@ -109,37 +108,28 @@ def finetune(
     Args:
         start: weights of both stages to begin with.
         labels: labeled recordings of one kind; some are held out to select by.
-        config: how; `old_share` of each stage mixes in old states.
+        config: how.
         folder: gets a folder per stage and `model.safetensors`.
-        old: states of the old cloth, against forgetting.
         processes: who trains together.
         progress: called after every step.
 
     Raises:
-        InvalidConfigError: there are too few labels, or old states are asked for and not given.
-        InvalidResultError: weights, states or progress are damaged or do not belong together.
+        InvalidConfigError: there are too few labels.
+        InvalidResultError: weights or progress are damaged or do not belong together.
         StorageError: when the disk refuses.
     """
     network = network_of(start)
     seed = config.canonicalisation.seed
     examples = PseudoLabelExamples(labels, network, config.examples, seed=seed)
     _require_kind(start, examples.kind, "labels")
-    others = None
-    if old:
-        others = StateExamples(old, network, config.examples, seed=seed)
-        if others.kind != examples.kind:
-            raise InvalidConfigError(f"old states are of {others.kind!r}, not {examples.kind!r}")
-    elif config.canonicalisation.old_share or config.completion.old_share:
-        raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
     data = {
         "start": _beginning(start),
         "recordings": sorted(set(examples.groups)),
         "labels": len(examples),
-        "old_states": 0 if others is None else len(others),
         "examples": asdict(config.examples),
     }
     learning = _Learning(network, config, folder, processes=processes, progress=progress)
-    return learning.both(_Material(examples, examples.groups, data, start, others))
+    return learning.both(_Material(examples, examples.groups, data, start))
 
 
 def _require_kind(weights: Weights, kind: str, material: str) -> None:
@@ -164,14 +154,12 @@ class _Material:
         groups: of each: episode or trajectory.
         data: what they are made of, stored with the weights.
         start: weights to begin with; fresh ones when None.
-        others: examples of the old cloth to mix in.
     """
 
     examples: StateExamples | PseudoLabelExamples
     groups: Sequence[Any]
     data: Mapping[str, Any]
     start: Weights | None = None
-    others: StateExamples | None = None
 
 
 class _Learning:
@@ -237,12 +225,9 @@ class _Learning:
         # The order of memory in which convolutions are faster, 1.4 times on a processor.
         stage.canonicaliser.to(memory_format=torch.channels_last)
         training, held_out = split_by_group(material.groups, config.held_out_share, config.seed)
-        chosen: Examples = Subset(material.examples, training)
-        if material.others is not None and config.old_share > 0.0:
-            chosen = Mixture(chosen, material.others, config.old_share, seed=config.seed)
         outcome = train(
             stage.to(self.processes.device),
-            chosen,
+            Subset(material.examples, training),
             Subset(material.examples, held_out),
             config,
             self.folder / stage.name,

@@ -79,7 +79,3 @@ class LearningConfig:
             )
         sizes = TokenNetworkConfig() if training == "pretrain" else None
         return cls(replace(TRAININGS[training], seed=seed), sizes)
-
-    def mixing(self, old_share: float) -> "LearningConfig":
-        """Return the same with a share of the examples replaced by old states."""
-        return replace(self, tokens=replace(self.tokens, old_share=old_share))

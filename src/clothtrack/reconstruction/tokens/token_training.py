@@ -18,7 +18,7 @@ from clothtrack.reconstruction.tokens.token_learning import (
     split_by_digest,
 )
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
+from clothtrack.reconstruction.training.batches import Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import START, Weights, load_weights
 from clothtrack.reconstruction.training.processes import Processes
 
@@ -82,7 +82,6 @@ def finetune_tokens(
     config: LearningConfig,
     folder: Path,
     *,
-    old: Sequence[StateSet] = (),
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
@@ -91,15 +90,14 @@ def finetune_tokens(
     Args:
         start: weights to begin with.
         labels: labeled recordings; some are held out to select by.
-        config: how; `tokens.old_share` mixes in old states.
+        config: how.
         folder: gets progress, scalars and `model.safetensors`.
-        old: states of the old cloth, against forgetting.
         processes: who trains together.
         progress: called after every step.
 
     Raises:
-        InvalidConfigError: there are too few labels, or old states are asked for and not given.
-        InvalidResultError: weights, states or progress are damaged or do not belong together.
+        InvalidConfigError: there are too few labels.
+        InvalidResultError: weights or progress are damaged or do not belong together.
         StorageError: when the disk refuses.
     """
     network, training = require_tokens(start), config.tokens
@@ -110,12 +108,5 @@ def finetune_tokens(
         "recordings": sorted(set(examples.groups)),
         "labels": len(examples),
     }
-    taught: Examples = Subset(examples, chosen)
-    if training.old_share > 0.0:
-        if not old:
-            raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
-        others = TokenExamples(old, network, seed=training.seed)
-        taught = Mixture(taught, others, training.old_share, seed=training.seed)
-        data["old_states"] = len(others)
     learning = TokenLearning(network, training, folder, processes, progress)
-    return learning.of(taught, Subset(examples, held), data, start)
+    return learning.of(Subset(examples, chosen), Subset(examples, held), data, start)

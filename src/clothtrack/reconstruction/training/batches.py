@@ -19,9 +19,6 @@ from clothtrack.files.worker_pool import start_worker
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 
-_OF_MIXTURES = 0x01D
-"""Keeps the draws of `Mixture` apart from those of its examples with the same seed."""
-
 Draw = tuple[int, int]
 """Index of an example, and the epoch that its random numbers are drawn for."""
 
@@ -80,37 +77,6 @@ class Subset:
         """The example, augmented for this epoch."""
         index, epoch = draw
         return self.examples[int(self.indices[index]), epoch]
-
-
-class Mixture:
-    """Examples of which some are replaced by those of another set, against forgetting.
-
-    Args:
-        examples: their number is the mixture's.
-        others: what stands in.
-        share: probability of that, for each draw.
-        seed: of the choice.
-    """
-
-    def __init__(self, examples: Examples, others: Examples, share: float, *, seed: int) -> None:
-        self.examples = examples
-        self.others = others
-        self.share = share
-        self.seed = seed
-
-    def __len__(self) -> int:
-        """How many there are."""
-        return len(self.examples)
-
-    def __getitem__(self, draw: Draw) -> Any:
-        """The example, or one of the others."""
-        index, epoch = draw
-        # A stream of its own: examples draw from [seed, epoch, index] too, and whether one is
-        # replaced must say nothing about how another is augmented.
-        rng = np.random.default_rng([_OF_MIXTURES, self.seed, epoch, index])
-        if rng.random() < self.share:
-            return self.others[int(rng.integers(len(self.others))), epoch]
-        return self.examples[index, epoch]
 
 
 class BatchOrder:

@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Bounds, Checked, Count, Fraction, Natural, NotNegative, Positive
+from clothtrack.files.bounds import Checked, Count, Fraction, Natural, NotNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,6 @@ class TrainingConfig(Checked):
         evaluate_epochs: epochs between two measurements on the held-out examples.
         evaluate_examples: "stable": examples between two measurements; epochs are not counted.
         patience: measurements without an improvement after which training stops; 0: never.
-        old_share: probability that an example is replaced by one of the old cloth, against
-            forgetting (fine-tuning).
         log_steps: steps between two lines of training scalars.
         save_steps: steps between two saves of the progress; it is saved with every measurement
             too.
@@ -61,7 +59,6 @@ class TrainingConfig(Checked):
     evaluate_epochs: Count = 1
     evaluate_examples: Count = 20_000
     patience: Natural = 0
-    old_share: Annotated[float, Bounds(least=0, below=1)] = 0.0
     log_steps: Count = 10
     save_steps: Count = 500
     bfloat16: bool = False
