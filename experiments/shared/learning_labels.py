@@ -14,8 +14,8 @@ from clothtrack.reconstruction.data.pseudo_labels import (
     label_recording,
 )
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.recordings import read_recording
+from clothtrack_lab.published_networks.rendered_state import render
 from shared.bench_runs import Task, kept_labels
 
 SMOOTH_M = 0.15

@@ -58,12 +58,12 @@ from clothtrack.reconstruction import (
 )
 from clothtrack.reconstruction.agreement import agreement_of
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.state_store import StateShard
 from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.from_picture import figures_of
 from clothtrack.recordings import Table
 from clothtrack.report.viewpoint import three_quarter_view
+from clothtrack_lab.published_networks.rendered_state import render
 
 COVERAGES = (0.0, 0.55, 0.85, np.inf)
 """Bounds of the bands of true coverage in which errors are given."""

@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_store import StateShard, open_states, write_states
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.training.batches import loader
 from clothtrack_lab.published_networks.examples import ExampleConfig, Garment, collate, draw_example
 from clothtrack_lab.published_networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.rendered_state import render
 from clothtrack_lab.published_networks.state_examples import StateExamples
 from clothtrack_lab.published_networks.winding import WindingConfig, winding_numbers
 

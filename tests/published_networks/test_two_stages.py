@@ -61,7 +61,7 @@ def towels(tmp_path, monkeypatch):
 def labels_of(folder, count=3):
     mesh = garment("towel", vertex_count=150)
     from clothtrack.reconstruction.data.render_config import RenderConfig
-    from clothtrack.reconstruction.data.rendered_states import render
+    from clothtrack_lab.published_networks.rendered_state import render
 
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
     for number in range(count):

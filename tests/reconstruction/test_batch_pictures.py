@@ -25,11 +25,11 @@ from clothtrack.reconstruction.data.batch_surface import on_mesh
 from clothtrack.reconstruction.data.batch_view import above
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture, faces_of_points
 from clothtrack.reconstruction.data.render_config import SENSORS, RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.recordings.camera_view import flying_pixels
+from clothtrack_lab.published_networks.rendered_state import render
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()

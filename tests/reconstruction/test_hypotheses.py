@@ -11,7 +11,6 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import token_example
 from clothtrack.reconstruction.tokens.token_learning import (
@@ -24,6 +23,7 @@ from clothtrack.reconstruction.tokens.token_learning import (
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenExample, TokenStage, collate_tokens
 from clothtrack.reconstruction.training.checkpoint import Weights
+from clothtrack_lab.published_networks.rendered_state import render
 
 SMALL = TokenNetworkConfig(width=16, layers=1, hypotheses=1)
 

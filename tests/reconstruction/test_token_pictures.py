@@ -1,7 +1,5 @@
-"""Packed states, and the batches that are rendered of them: names, places, statistics, devices."""
+"""Batches that are rendered of states: names, places, statistics, devices."""
 
-import subprocess
-import sys
 from dataclasses import fields, replace
 
 import numpy as np
@@ -9,25 +7,17 @@ import pytest
 import torch
 from scipy.stats import ks_2samp
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
+from clothtrack.reconstruction.data.state_store import StateShard
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
-from clothtrack.reconstruction.tokens.packed_states import (
-    STEP_M,
-    PackedStates,
-    in_files,
-    packed_bytes,
-    read_pack,
-    write_pack,
-)
-from clothtrack.reconstruction.tokens.state_codec import coded, decoded, prediction
 from clothtrack.reconstruction.tokens.token_examples import token_example
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_pictures import PIXELS, TokenPictures
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch, collate_tokens
+from clothtrack.reconstruction.tokens.token_states import TokenStates
+from clothtrack_lab.published_networks.rendered_state import render
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()
@@ -38,7 +28,6 @@ MESHES = [
     garment("tshirt", vertex_count=700),
 ]
 STATES = 16
-DIGESTS = ("00000000aa", "fedcba9876", "0123456789")
 
 
 def folded(mesh, seed):
@@ -68,97 +57,29 @@ def shapes():
 
 
 @pytest.fixture(scope="module")
-def packs(tokens, shapes):
-    return [
-        PackedStates.of(mesh.faces, *parts)
-        for mesh, *parts in zip(MESHES, tokens, shapes, DIGESTS, strict=True)
-    ]
-
-
-@pytest.fixture(scope="module")
-def states(packs):
-    return PackedStates.joined(packs)
-
-
-def test_states_come_back_as_they_were_packed(states, packs, shapes, tokens, tmp_path):
-    write_pack(tmp_path / "pack.safetensors", states, {"from": "a test"})
-    back, provenance = read_pack(tmp_path / "pack.safetensors")
-    assert provenance["from"] == "a test"
-    for one in fields(PackedStates):
-        assert torch.equal(getattr(back, one.name), getattr(states, one.name)), one.name
-    for number in range(len(states)):
-        kind, state = divmod(number, STATES)
-        gap = np.abs(back.state(number).numpy() - shapes[kind][state]).max()
-        # Half of a step, and what single precision rounds.
-        assert gap < 0.5 * STEP_M + 2e-7
-    np.testing.assert_array_equal(packs[1].corners.numpy(), MESHES[1].faces)
-    np.testing.assert_allclose(packs[2].vertex_shares, tokens[2].vertex_shares, atol=3e-4)
-    assert back.groups == [one[:8] for one in DIGESTS for _ in range(STATES)]
-    # Waves and folds take less than half of 6 bytes a vertex, with all that is said of garments.
-    size = (tmp_path / "pack.safetensors").stat().st_size
-    assert size < 0.5 * back.positions.nbytes + 3 * 25_000
-    assert packed_bytes(states) == pytest.approx(size, abs=8_000)
-
-
-def test_any_numbers_come_back_from_their_prediction(rng):
-    """Wild ones wrap around at 16 bits, and two pieces of cloth have nothing to do with another."""
-    faces = np.array([[0, 1, 2], [2, 1, 3], [3, 4, 2], [5, 6, 7], [7, 6, 8]])
-    how = prediction(faces, 9)
-    assert sorted(how.order) == list(range(9))
-    place = np.argsort(how.order)
-    leans = how.corners >= 0
-    assert (place[how.corners][leans] < np.broadcast_to(place[:, None], (9, 3))[leans]).all()
-    assert (~leans).all(1).sum() == 2
-    states = rng.integers(-(2**15), 2**15, (4, 9, 3)).astype(np.int16)
-    content = coded(states, how)
-    assert len(content) == states.nbytes
-    np.testing.assert_array_equal(decoded(content, how), states)
-    with pytest.raises(InvalidResultError, match="no whole number of states of 9 vertices"):
-        decoded(content[:-1], how)
-
-
-def test_a_flat_cloth_is_its_first_triangles(shapes):
-    """In steps that a flat regular grid is made of, every other vertex is as predicted."""
-    grid = np.stack(np.meshgrid(np.arange(12), np.arange(9)), -1).reshape(-1, 2)
-    corner = (12 * np.arange(8)[:, None] + np.arange(11)).ravel()
-    faces = np.concatenate(
+def states(shapes):
+    return TokenStates.joined(
         [
-            np.stack([corner, corner + 1, corner + 12], 1),
-            np.stack([corner + 1, corner + 13, corner + 12], 1),
+            TokenStates.of(
+                StateShard("any", mesh, each, np.arange(STATES), ("drop",) * STATES, number)
+            )
+            for number, (mesh, each) in enumerate(zip(MESHES, shapes, strict=True))
         ]
     )
-    flat = np.column_stack([200 * grid, np.full(108, 30)])[None].astype(np.int16)
-    content = coded(flat, prediction(faces, 108))
-    assert (content != 0).sum() <= 3 * 3 * 2
 
 
-def test_a_garment_that_does_not_fit_is_refused(tokens, shapes):
-    with pytest.raises(InvalidConfigError, match=r"is up to 9\.05 m long"):
-        PackedStates.of(
-            MESHES[1].faces, tokens[1], 10.0 * shapes[1] / np.ptp(shapes[1]), DIGESTS[1]
-        )
-
-
-def test_a_damaged_pack_is_refused(states, tmp_path):
-    path = tmp_path / "pack.safetensors"
-    write_pack(path, states, {})
-    content = bytearray(path.read_bytes())
-    content[-1000] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(InvalidResultError, match="SHA-256 differs"):
-        read_pack(path)
-    path.write_bytes(content[:500])
-    with pytest.raises(InvalidResultError, match="not a whole safetensors file"):
-        read_pack(path)
-    with pytest.raises(InvalidResultError, match="no such file"):
-        read_pack(tmp_path / "other")
-
-
-def test_packs_are_joined_up_to_a_size(packs):
-    most = packed_bytes(packs[0]) + packed_bytes(packs[1])
-    joined = list(in_files(packs, most))
-    assert [len(one) for one in joined] == [2 * STATES, STATES]
-    assert len(list(in_files(packs, 1))) == 3
+def test_a_garment_keeps_its_states_and_faces(states, shapes, tokens):
+    assert len(states) == len(MESHES) * STATES
+    for number in range(len(states)):
+        kind, state = divmod(number, STATES)
+        begin = int(states.first[number])
+        found = states.positions[begin : begin + len(shapes[kind][state])]
+        np.testing.assert_array_equal(found, shapes[kind][state])
+        assert int(states.garment[number]) == kind
+    faces = np.split(states.corners.numpy(), np.cumsum(states.faces.numpy())[:-1])
+    np.testing.assert_array_equal(faces[1], MESHES[1].faces)
+    last = int(states.vertices[-1])
+    np.testing.assert_array_equal(states.vertex_shares[-last:], tokens[2].vertex_shares)
 
 
 def own_place(batch):
@@ -199,7 +120,7 @@ def test_a_mirrored_garment_is_named_by_its_mirror(states):
     """A state has two shapes, its own and its mirror image with the names of the mirror."""
     pictures = TokenPictures(states, NETWORK, rendering=PERFECT)
     places = pictures.batch(torch.full((24,), 2 * STATES + 3), (1,)).places
-    mirror = states.mirror[2].long()
+    mirror = states.mirror[2]
     gaps = torch.cdist(places, places)
     # Distances between tokens do not change by turning, and in a mirror neither.
     gaps = gaps / gaps.mean((1, 2), keepdim=True)
@@ -291,31 +212,6 @@ def test_a_state_that_nobody_sees_is_replaced_by_another_one(states):
     shown = (batch.height > 0.5 * EMPTY).flatten(1).any(1)
     assert bool(shown.all())
     assert len(torch.unique(batch.distance)) < 32
-
-
-NOT_THERE = (
-    "warp", "zarr", "tyro", "trimesh", "mujoco", "skimage", "igl", "av", "rosbags", "mcap",
-    "jsonschema", "lz4", "zstandard", "tensorboard",
-)  # fmt: skip
-
-
-@pytest.mark.slow
-def test_a_machine_that_only_trains_needs_pytorch_alone():
-    script = f"""
-import sys
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {NOT_THERE}:
-            raise ModuleNotFoundError(name)
-sys.meta_path.insert(0, Missing())
-import clothtrack.reconstruction.tokens.packed_training
-import clothtrack.reconstruction.tokens.token_pictures
-assert not set({NOT_THERE}) & set(sys.modules)
-"""
-    result = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.gpu

@@ -16,7 +16,6 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_store import open_states
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
@@ -25,7 +24,6 @@ from clothtrack.reconstruction.tokens.garment_tokens import TOKENS, GarmentToken
 from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_examples import (
     LabeledTokenExamples,
-    TokenExamples,
     token_example,
     with_parts_missing,
 )
@@ -45,9 +43,12 @@ from clothtrack.reconstruction.tokens.token_stage import (
 )
 from clothtrack.reconstruction.tokens.token_training import finetune_tokens, pretrain_tokens
 from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.reconstruction.training.training_log import read_scalars
 from clothtrack.recordings.recording import Table
 from clothtrack_lab.published_networks.registered import SHIPPED
+from clothtrack_lab.published_networks.rendered_state import render
 
 TINY = TokenNetworkConfig(width=16, layers=1)
 PERFECT = SensorConfig.perfect()
@@ -411,12 +412,39 @@ class _StopAfter:
             os.kill(os.getpid(), signal.SIGTERM)
 
 
-def test_an_example_is_a_function_of_index_epoch_and_seed(folders: list[Path]) -> None:
+@pytest.mark.slow
+def test_a_run_goes_on_with_other_states(folders: list[Path], tmp_path: Path) -> None:
+    towels, shirts = (open_states(folder) for folder in folders)
+    going = _learning(
+        decay="stable", rise_examples=8, fall_examples=24, average_examples=16,
+        evaluate_examples=12,
+    )  # fmt: skip
+    pretrain_tokens([towels], going, tmp_path, progress=_StopAfter(3))
+    learned = pretrain_tokens([towels, shirts], going, tmp_path)
+    assert learned.model is not None
+    phases = load_weights(learned.model).provenance["phases"]
+    assert [one["from_step"] for one in phases] == [0, 3]
+    assert [one["data"]["states"] for one in phases] == [8, 16]
+
+
+def test_workers_do_not_render_for_a_gpu(folders: list[Path], tmp_path: Path) -> None:
     sets = [open_states(folder) for folder in folders]
-    first, again = (TokenExamples(sets, TINY, seed=2)[5, 1] for _ in range(2))
-    np.testing.assert_array_equal(first.height, again.height)
-    np.testing.assert_array_equal(first.places, again.places)
-    assert not np.array_equal(first.height, TokenExamples(sets, TINY, seed=2)[5, 2].height)
+    with pytest.raises(InvalidConfigError, match="on cuda:0 pictures are rendered there"):
+        pretrain_tokens(sets, _learning(workers=2), tmp_path, processes=Processes(device="cuda:0"))
+
+
+@pytest.mark.gpu
+def test_a_gpu_learns_what_a_processor_learns(folders: list[Path], tmp_path: Path) -> None:
+    """The same pictures but for the sensors' noise, the same steps: losses stay near each other."""
+    sets, runs = [open_states(folder) for folder in folders], {}
+    for device in ("cpu", "cuda"):
+        pretrain_tokens(
+            sets, _learning(log_steps=1), tmp_path / device, processes=Processes(device=device)
+        )
+        rows = read_scalars(tmp_path / device)
+        runs[device] = np.array([row["loss"] for row in rows if row["split"] == "train"])
+    assert len(runs["cuda"]) > 3
+    np.testing.assert_allclose(runs["cuda"], runs["cpu"], rtol=0.15)
 
 
 def test_weights_of_another_network_are_refused(folders: list[Path], tmp_path: Path) -> None:

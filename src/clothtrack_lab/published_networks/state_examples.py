@@ -1,16 +1,17 @@
 """Simulated states and pseudo-labels as examples of the published network."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import RenderedStates
-from clothtrack.reconstruction.data.state_store import StateSet, StateShard
+from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack_lab.published_networks.canonical_frame import canonical_frame
 from clothtrack_lab.published_networks.examples import (
@@ -20,13 +21,22 @@ from clothtrack_lab.published_networks.examples import (
     draw_example,
 )
 from clothtrack_lab.published_networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.rendered_state import render
+
+logger = logging.getLogger(__name__)
+
+_ATTEMPTS, _STATES_TRIED = 8, 4
+"""How often a state is rendered, and how many states are, before an example is given up."""
 
 _ROOM = 0.98
 """Share of its category's canonical cube that a garment may fill."""
 
 
-class StateExamples(RenderedStates[Garment, Example]):
+class StateExamples:
     """Labeled states of simulated garments as examples of the published network.
+
+    Each is a function of index, epoch and seed. Shards are read when the set is made, and again in
+    each process that makes examples.
 
     Args:
         sets: folders of states, all of one kind of garment.
@@ -58,26 +68,64 @@ class StateExamples(RenderedStates[Garment, Example]):
         self.kind = kinds[0]
         self.network = network
         self.config = config or ExampleConfig()
-        super().__init__(sets, rendering or RenderConfig(), seed)
+        self.rendering = rendering or RenderConfig()
+        self.seed = seed
+        self._paths = [path for states in sets for path in states.shards]
+        self._shards: dict[int, StateShard] = {}
+        self._garments: dict[int, Garment] = {}
+        self._places = [
+            (number, state)
+            for number in range(len(self._paths))
+            for state in range(len(self._shard(number).positions))
+        ]
         self.groups = [
             (number, int(self._shard(number).episodes[state])) for number, state in self._places
         ]
 
-    def _garment_of(self, shard: StateShard, number: int) -> Garment:
-        return Garment.of(shard.mesh, self.kind, self.config.winding, seed=number)
+    def __len__(self) -> int:
+        """Number of states."""
+        return len(self._places)
 
-    def _drawn(
-        self,
-        picture: LabeledPicture,
-        shard: StateShard,
-        garment: Garment,
-        rng: np.random.Generator,
-    ) -> Example:
-        del shard
-        return draw_example(picture, garment, self.network, self.config, rng)
+    def __getitem__(self, draw: Draw) -> Example:
+        """The state, rendered and augmented for this epoch.
 
-    def _fitted(self, shard: StateShard) -> StateShard:
-        return _in_cube(shard)
+        A camera may measure too little cloth to ask the network about, most often of a narrow
+        cloth that hangs before a hand. It is rendered again, and in the end another state is.
+
+        Raises:
+            InvalidRecordingError: several states in turn could not be rendered.
+        """
+        index, epoch = draw
+        rng = np.random.default_rng([self.seed, epoch, index])
+        failure = None
+        for _ in range(_STATES_TRIED):
+            number, state = self._places[index]
+            shard, garment = self._shard(number), self._garment(number)
+            positions = shard.positions[state].astype(np.float64)
+            for _ in range(_ATTEMPTS):
+                picture = render(positions, shard.mesh, self.rendering, rng)
+                try:
+                    return draw_example(picture, garment, self.network, self.config, rng)
+                except InvalidRecordingError as error:
+                    failure = f"{self._paths[number]}, state {state}: {error}"
+            logger.info("rendered %d times; another state is taken: %s", _ATTEMPTS, failure)
+            index = int(rng.integers(len(self)))
+        raise InvalidRecordingError(str(failure))
+
+    def _garment(self, number: int) -> Garment:
+        if number not in self._garments:
+            mesh = self._shard(number).mesh
+            self._garments[number] = Garment.of(mesh, self.kind, self.config.winding, seed=number)
+        return self._garments[number]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the shards: a process reads its own."""
+        return {**self.__dict__, "_shards": {}, "_garments": {}}
+
+    def _shard(self, number: int) -> StateShard:
+        if number not in self._shards:
+            self._shards[number] = _in_cube(read_shard(self._paths[number]))
+        return self._shards[number]
 
 
 def _in_cube(shard: StateShard) -> StateShard:

@@ -1,8 +1,8 @@
 """Pictures of many states at once, by cameras above them that measure badly.
 
-What `state_examples.py: render` does for one state, on any device that PyTorch computes on and
-without Warp. Positions are in the frame of each picture's camera until the network's picture is
-taken, so that mirroring and turning the world costs nothing.
+On any device that PyTorch computes on, and without Warp. Positions are in the frame of each
+picture's camera until the network's picture is taken, so that mirroring and turning the world costs
+nothing.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Simulated states as examples of the token network: seen anew in every epoch."""
+"""Labeled pictures as examples of the token network: turned and mirrored anew in every epoch."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,9 +10,6 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture, faces_of_points
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
-from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.rendered_states import RenderedStates
-from clothtrack.reconstruction.data.state_store import StateSet, StateShard, shard_digest
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
@@ -36,49 +33,6 @@ Labels come from few recordings. What their sensor cut away, others may show, an
 
 MOST_LOW, MOST_BEYOND = 0.6, 0.3
 """Largest shares of the measured pixels that are missing then."""
-
-
-class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
-    """States of garments as examples; each is a function of index, epoch and seed.
-
-    Args:
-        sets: folders of states, of any garments.
-        network: what the pictures are for.
-        rendering: the cameras.
-        seed: of everything random.
-
-    Raises:
-        InvalidConfigError: there is no state.
-        InvalidResultError: a shard is damaged.
-    """
-
-    def __init__(
-        self,
-        sets: Sequence[StateSet],
-        network: TokenNetworkConfig,
-        *,
-        rendering: RenderConfig | None = None,
-        seed: int = 0,
-    ) -> None:
-        self.network = network
-        super().__init__(sets, rendering or RenderConfig(), seed)
-        if not len(self):
-            raise InvalidConfigError("there are no states; make some with clothtrack simulate")
-        digests = [shard_digest(path) for path in self._paths]
-        self.groups = [digests[number] for number, _ in self._places]
-
-    def _garment_of(self, shard: StateShard, number: int) -> GarmentTokens:
-        del number
-        return GarmentTokens.of(shard.mesh)
-
-    def _drawn(
-        self,
-        picture: LabeledPicture,
-        shard: StateShard,
-        garment: GarmentTokens,
-        rng: np.random.Generator,
-    ) -> TokenExample:
-        return token_example(picture, shard.mesh.faces, garment, self.network, rng)
 
 
 class LabeledTokenExamples:

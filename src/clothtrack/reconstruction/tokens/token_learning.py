@@ -1,8 +1,4 @@
-"""One training of the token network: from which weights, how far, and what it leaves.
-
-Where the examples come from is not said here, so that a machine which only trains needs nothing
-of what makes and reads them.
-"""
+"""One training of the token network: from which weights, how far, and what it leaves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

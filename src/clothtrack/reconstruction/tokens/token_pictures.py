@@ -1,7 +1,7 @@
-"""Packed states as batches of the token network: rendered, measured, cropped and named together.
+"""States as batches of the token network: rendered, measured, cropped and named together.
 
-What `token_examples.py` makes of one state after the other, on any device that PyTorch computes on
-and without Warp. All that lies in a batch is a function of the states, the seed and the step.
+A whole batch is made at once, where the network is: on any device that PyTorch computes on, and
+without Warp. All that lies in a batch is a function of the states, the seed and the step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +18,10 @@ from clothtrack.reconstruction.data.batch_rows import joined_rows, on_device, ro
 from clothtrack.reconstruction.data.batch_surface import on_mesh
 from clothtrack.reconstruction.data.batch_view import above
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.tokens.packed_states import STEP_M, PackedStates
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch
+from clothtrack.reconstruction.tokens.token_states import TokenStates
+from clothtrack.reconstruction.training.batches import Draw
 
 PIXELS = 192
 """Pixels per example that are asked for their name. With 512 a step took 1.1 times as long."""
@@ -46,35 +47,43 @@ class TokenPictures:
     """States as batches of the token network.
 
     Args:
-        states: packed.
+        states: of any garments.
         network: what the pictures are for.
         rendering: the cameras.
         device: where the batches are made, "cpu" or "cuda:0".
-        asked: pixels per picture that are asked for their name.
         seed: of everything random.
-        part_pixels: pixels of depth pictures that are made together; None: what suits the device.
     """
 
     def __init__(
         self,
-        states: PackedStates,
+        states: TokenStates,
         network: TokenNetworkConfig,
         *,
         rendering: RenderConfig | None = None,
         device: str = "cpu",
-        asked: int = PIXELS,
         seed: int = 0,
-        part_pixels: int | None = None,
     ) -> None:
         self.network = network
         self.rendering = rendering or RenderConfig()
         self.device = device
-        self.asked = asked
         self.seed = seed
         self._low, self._high = states.low, states.high
         self._states = on_device(states, device)
         self._most = {name: int(getattr(states, name).max()) for name in ("vertices", "faces")}
-        self._part_pixels = part_pixels or _PART_PIXELS[device.split(":", maxsplit=1)[0]]
+        self._part_pixels = _PART_PIXELS[device.split(":", maxsplit=1)[0]]
+
+    def __len__(self) -> int:
+        """Number of states."""
+        return len(self._low)
+
+    def __getitem__(self, draw: Draw) -> Draw:
+        """The draw itself: a state is rendered with its batch."""
+        return draw
+
+    def rendered(self, draws: Sequence[Draw]) -> TokenBatch:
+        """Render the states of a batch; the same draws, the same pictures."""
+        chosen = torch.tensor([index for index, _ in draws])
+        return self.batch(chosen, [number for draw in draws for number in draw])
 
     def batch(self, chosen: Int[Tensor, " batch"], step: Sequence[int]) -> TokenBatch:
         """Render some states, mirrored and turned at random.
@@ -109,17 +118,17 @@ class TokenPictures:
         measured = measure(cloths, noise)
         views = above(measured, world.motion, self.network)
         blocks, sources, shown = _drawn_pixels(
-            views.depth, self.network.output_stride, int(_SPARE * self.asked), noise
+            views.depth, self.network.output_stride, int(_SPARE * PIXELS), noise
         )
         found = on_mesh(views.points(sources), measured)
         known = shown & (found.apart <= CUT * garments.size_m[:, None])
         # Those with a name come first; too few are asked for more than once.
         first = torch.sort(known.byte(), dim=1, descending=True, stable=True).indices
-        turn = torch.arange(self.asked, device=known.device) % known.sum(1, keepdim=True).clamp_(1)
+        turn = torch.arange(PIXELS, device=known.device) % known.sum(1, keepdim=True).clamp_(1)
         taken = first.gather(1, turn)[..., None]
         corners = found.corners.gather(1, taken.expand(-1, -1, 3)) + garments.first[:, None, None]
         weights = found.weights.gather(1, taken.expand(-1, -1, 3))
-        shares = self._states.vertex_shares[corners].float() * weights[..., None]
+        shares = self._states.vertex_shares[corners] * weights[..., None]
         size_m = garments.size_m * world.size_factor
         table_m = garments.size_m * world.table_shift
         above_m = views.position[:, 2] - table_m
@@ -128,7 +137,7 @@ class TokenPictures:
             height=height.masked_fill_(views.depth <= 0.0, EMPTY),
             distance=above_m / size_m,
             pixels=blocks.gather(1, taken.expand(-1, -1, 2)),
-            pixel_tokens=self._states.vertex_tokens[corners].long().flatten(2),
+            pixel_tokens=self._states.vertex_tokens[corners].flatten(2),
             pixel_shares=shares.flatten(2),
             origin=torch.stack([views.position[:, 0], views.position[:, 1], table_m], 1),
             size_m=size_m,
@@ -172,9 +181,9 @@ class _Garments:
     Attributes:
         positions: vertices in the world [m]; those of a smaller garment come again.
         faces: vertices of each face, by corner; those that only fill up are vertex 0.
-        first: where the vertices of each garment begin in the pack.
+        first: where the vertices of each garment begin among all.
         features, token_corners, token_blend, labelings, is_labeling, mirror, neighbors, size_m,
-            layers: as in `PackedStates`.
+            layers: as in `TokenStates`.
     """
 
     positions: Float[Tensor, "batch vertices 3"]
@@ -192,32 +201,28 @@ class _Garments:
 
     @classmethod
     def of(
-        cls, states: PackedStates, chosen: Int[Tensor, " batch"], most: Mapping[str, int]
+        cls, states: TokenStates, chosen: Int[Tensor, " batch"], most: Mapping[str, int]
     ) -> "_Garments":
         """Those of some states.
 
         Args:
-            states: packed, on the device.
+            states: all, on the device.
             chosen: which, there too.
             most: vertices and faces of the largest garment.
         """
-        garment = states.garment[chosen].long()
-        vertices, faces = states.vertices.long(), states.faces.long()
+        garment, vertices, faces = states.garment[chosen], states.vertices, states.faces
         vertex = torch.arange(most["vertices"], device=chosen.device) % vertices[garment, None]
-        low, high = states.low[chosen], states.high[chosen]
-        steps = states.positions[states.first[chosen, None] + vertex].float()
-        positions = steps * STEP_M + (0.5 * (low + high))[:, None]
+        positions = states.positions[states.first[chosen, None] + vertex]
         face = torch.arange(most["faces"], device=chosen.device).expand(len(chosen), -1)
         is_face = face < faces[garment, None]
         begin = (faces.cumsum(0) - faces)[garment, None]
-        corners = states.corners[(begin + face).clamp_(max=len(states.corners) - 1)].long()
+        corners = states.corners[(begin + face).clamp_(max=len(states.corners) - 1)]
         corners = corners * is_face[..., None]
-        told = {name: getattr(states, name)[garment] for name in _OF_GARMENTS}
         return cls(
             positions=positions,
             faces=corners.transpose(1, 2).contiguous(),
             first=(vertices.cumsum(0) - vertices)[garment],
-            **{name: one.long() if name in _INDICES else one for name, one in told.items()},
+            **{name: getattr(states, name)[garment] for name in _OF_GARMENTS},
         )
 
     def places(self) -> Float[Tensor, "batch tokens 3"]:
@@ -228,8 +233,10 @@ class _Garments:
         return (at * self.token_blend[..., None]).sum(2)
 
 
-_INDICES = ("token_corners", "labelings", "mirror", "neighbors", "layers")
-_OF_GARMENTS = (*_INDICES, "features", "token_blend", "is_labeling", "size_m")
+_OF_GARMENTS = (
+    "features", "token_corners", "token_blend", "labelings", "is_labeling", "mirror", "neighbors",
+    "size_m", "layers",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,17 +7,18 @@ from typing import Any
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
-from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.tokens.learning_config import LearningConfig
-from clothtrack.reconstruction.tokens.token_examples import LabeledTokenExamples, TokenExamples
+from clothtrack.reconstruction.tokens.token_examples import LabeledTokenExamples
 from clothtrack.reconstruction.tokens.token_learning import (
     TokenLearning,
     require_tokens,
     split_by_digest,
 )
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_pictures import TokenPictures
+from clothtrack.reconstruction.tokens.token_states import read_token_states
 from clothtrack.reconstruction.training.batches import Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import START, Weights, load_weights
 from clothtrack.reconstruction.training.processes import Processes
@@ -35,8 +36,9 @@ def pretrain_tokens(
 ) -> LearningOutcome:
     """Train on states of any garments; a second call goes on where the first one stopped.
 
-    Garments are held out as a whole, by the digest of their states: whatever else is learned from,
-    the same ones are. A second call may add folders of states, or leave some out.
+    Pictures are rendered where the network is. Garments are held out as a whole, by the digest of
+    their states: whatever else is learned from, the same ones are. A second call may add folders of
+    states, or leave some out.
 
     Args:
         states: folders of states.
@@ -51,7 +53,8 @@ def pretrain_tokens(
         How it ended, and the file with the best weights.
 
     Raises:
-        InvalidConfigError: the states are too few, or nothing says when the training ends.
+        InvalidConfigError: the states are too few, nothing says when the training ends, or worker
+            processes are to render for a GPU.
         InvalidResultError: states, progress or weights are damaged or of another training.
         StorageError: when the disk refuses.
     """
@@ -61,18 +64,25 @@ def pretrain_tokens(
             "the token network learns for as long as it is given time; add --hours N, or --set "
             "tokens.fall_examples=N to let its rate fall and the training end"
         )
-    examples = TokenExamples(states, network, seed=loop.seed)
-    training, held = split_by_digest(examples.groups, loop.held_out_share)
+    device = "cpu" if processes is None else processes.device
+    if loop.workers and device.startswith("cuda"):
+        raise InvalidConfigError(
+            f"tokens.workers is {loop.workers}: on {device} pictures are rendered there, by the "
+            "process that learns; leave it out"
+        )
+    read, digests = read_token_states(states)
+    examples = TokenPictures(read, network, device=device, seed=loop.seed)
+    training, held = split_by_digest(digests, loop.held_out_share)
     data: dict[str, Any] = {
         "states": len(examples),
         "sets": [one.identity for one in states],
-        "rendering": RenderConfig().as_dict(),
+        "rendering": examples.rendering.as_dict(),
     }
     weights = None
     if start is not None:
         weights = load_weights(start)
         data[START] = weights.runs
-    learning = TokenLearning(network, loop, folder, processes, progress, hours)
+    learning = TokenLearning(network, loop, folder, processes, progress, hours, examples.rendered)
     return learning.of(Subset(examples, training), Subset(examples, held), data, weights)
 
 

@@ -1,16 +1,14 @@
-"""Simulated states as examples, drawn on the fly: a fresh camera, its noise, a fresh rotation."""
+"""A picture of a simulated state: a fresh camera above it, and a sensor that measures badly.
 
-import logging
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+What `token_pictures.py` renders for a whole batch, for one state and with its labels.
+"""
+
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasterizer
@@ -22,106 +20,10 @@ from clothtrack.reconstruction.data.render_config import (
     RenderConfig,
 )
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
-from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
-from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.recordings.camera_view import flying_pixels
 
-_GarmentPart = TypeVar("_GarmentPart")
-Drawn = TypeVar("Drawn")
-
-logger = logging.getLogger(__name__)
-
 _MARGIN_PIXELS = 6
-_ATTEMPTS, _STATES_TRIED = 8, 4
-
-
-class RenderedStates(ABC, Generic[_GarmentPart, Drawn]):
-    """States as examples of some network, each a function of index, epoch and seed.
-
-    Shards are read when the set is made, and again in each process that makes examples.
-
-    Args:
-        sets: folders of states.
-        rendering: the cameras.
-        seed: of everything random.
-
-    Raises:
-        InvalidResultError: a shard is damaged.
-    """
-
-    def __init__(self, sets: Sequence[StateSet], rendering: RenderConfig, seed: int) -> None:
-        self.rendering = rendering
-        self.seed = seed
-        self._paths = [path for states in sets for path in states.shards]
-        self._shards: dict[int, StateShard] = {}
-        self._garments: dict[int, _GarmentPart] = {}
-        self._places = [
-            (number, state)
-            for number in range(len(self._paths))
-            for state in range(len(self._shard(number).positions))
-        ]
-
-    @abstractmethod
-    def _garment_of(self, shard: StateShard, number: int) -> _GarmentPart:
-        """What all states of a shard have in common."""
-
-    @abstractmethod
-    def _drawn(
-        self,
-        picture: LabeledPicture,
-        shard: StateShard,
-        garment: _GarmentPart,
-        rng: np.random.Generator,
-    ) -> Drawn:
-        """The example of a rendered state."""
-
-    def __len__(self) -> int:
-        """Number of states."""
-        return len(self._places)
-
-    def __getitem__(self, draw: Draw) -> Drawn:
-        """The state, rendered and augmented for this epoch.
-
-        A camera may measure too little cloth to ask the network about, most often of a narrow
-        cloth that hangs before a hand. It is rendered again, and in the end another state is.
-
-        Raises:
-            InvalidRecordingError: several states in turn could not be rendered.
-        """
-        index, epoch = draw
-        rng = np.random.default_rng([self.seed, epoch, index])
-        failure = None
-        for _ in range(_STATES_TRIED):
-            number, state = self._places[index]
-            shard, garment = self._shard(number), self._garment(number)
-            positions = shard.positions[state].astype(np.float64)
-            for _ in range(_ATTEMPTS):
-                picture = render(positions, shard.mesh, self.rendering, rng)
-                try:
-                    return self._drawn(picture, shard, garment, rng)
-                except InvalidRecordingError as error:
-                    failure = f"{self._paths[number]}, state {state}: {error}"
-            logger.info("rendered %d times; another state is taken: %s", _ATTEMPTS, failure)
-            index = int(rng.integers(len(self)))
-        raise InvalidRecordingError(str(failure))
-
-    def _garment(self, number: int) -> _GarmentPart:
-        if number not in self._garments:
-            self._garments[number] = self._garment_of(self._shard(number), number)
-        return self._garments[number]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without the shards: a process reads its own."""
-        return {**self.__dict__, "_shards": {}, "_garments": {}}
-
-    def _shard(self, number: int) -> StateShard:
-        if number not in self._shards:
-            self._shards[number] = self._fitted(read_shard(self._paths[number]))
-        return self._shards[number]
-
-    def _fitted(self, shard: StateShard) -> StateShard:
-        """The states as the network can take them."""
-        return shard
+"""Free space around the cloth in a picture [pixels]."""
 
 
 def render(
