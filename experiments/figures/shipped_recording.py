@@ -1,6 +1,6 @@
 """Film the recording that comes with clothtrack, small enough to be shipped.
 
-A two-layer T-shirt is folded twice in the stand-in world, seen by a noisy depth camera with the
+A two-layer T-shirt is folded twice in the simulated world, seen by a noisy depth camera with the
 tool in the way. What is left out of the shipped copy: the truth (it goes to OUT/world/truth, for
 whoever wants to judge the result), depth farther than 12 pixels from the cloth, and the two lowest
 bits of each color.

@@ -1,4 +1,4 @@
-"""What clicks lose against a measured path: films of a hand in the stand-in world, tracked twice.
+"""What clicks lose against a measured path: films of a hand in the simulated world, tracked twice.
 
     python experiments bare_hand --out out/bare_hand
 

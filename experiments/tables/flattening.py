@@ -1,4 +1,4 @@
-"""Flattening column of Table 2: the same crumpled starts, ten actions each, in the stand-in world.
+"""Flattening column of Table 2: the same crumpled starts, ten actions each, in the simulated world.
 
 Claims judged: fine-tuning lifts the normalized improvement by 30 % (paper, 0.23 to 0.30); the
 fine-tuned network reaches 80 % of what the truth as perception reaches; the learned dynamics are as
@@ -88,7 +88,7 @@ class Task:
         method: how.
         episode: which.
         out: folder of all episodes and starts.
-        robot: of the stand-in world.
+        robot: of the simulated world.
         device: where to compute.
     """
 

@@ -1,6 +1,6 @@
 """Networks on the pictures of flattening: how wrong is the mesh that a plan begins with?
 
-Every few pictures that the episodes of `flattening.py` took in the stand-in world, whoever chose
+Every few pictures that the episodes of `flattening.py` took in the simulated world, whoever chose
 their actions, become a mesh by each of the networks, fine-tuned to the picture as in an episode,
 and are compared with the true cloth. The benchmark folds lying cloth; these are heaps, and what
 pulls have made of them. Claim judged: a network that has seen cloth being pulled apart is less

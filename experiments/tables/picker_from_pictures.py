@@ -1,4 +1,4 @@
-"""How well the picker is found in pictures: films of the stand-in world against their truth.
+"""How well the picker is found in pictures: films of the simulated world against their truth.
 
     python experiments picker_from_pictures --out out/picker_from_pictures
 

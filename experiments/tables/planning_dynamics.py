@@ -1,6 +1,6 @@
 """What a plan is tried in: the simulator against the learned mesh dynamics, over real actions.
 
-Every pick-and-place that the episodes of `flattening.py` did in the stand-in world is predicted
+Every pick-and-place that the episodes of `flattening.py` did in the simulated world is predicted
 again from the true cloth before it: where the cloth ends, and what coverage is gained. At the start
 of each episode all decide among the same candidates, for the time that it takes. Claims judged: the
 learned dynamics are as good as the simulator; a coarse cloth must buckle between its vertices. A

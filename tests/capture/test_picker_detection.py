@@ -1,4 +1,4 @@
-"""The picker in the pictures: laws of the path, and the stand-in camera with a colored tip."""
+"""The picker in the pictures: laws of the path, and the simulated camera with a colored tip."""
 
 import json
 import shutil
@@ -125,7 +125,7 @@ def tip_path():
 
 
 def filmed(folder, kind, tip, cloth_color):
-    """A tip with a color over a cloth that lies still, filmed by the stand-in camera."""
+    """A tip with a color over a cloth that lies still, filmed by the simulated camera."""
     cloth = garment(kind, vertex_count=300)
     vertices = cloth.vertices - [0, 0, cloth.vertices[:, 2].min() - 0.002]
     config = SensorConfig()

@@ -77,7 +77,7 @@ def test_the_world_stands_on_the_table_under_the_middle_of_the_picture(degrees):
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
 @pytest.mark.parametrize("degrees", [0.0, 15.0, 35.0])
-def test_the_stand_in_camera_places_the_table_to_a_tenth_of_a_degree_and_a_millimeter(
+def test_the_simulated_camera_places_the_table_to_a_tenth_of_a_degree_and_a_millimeter(
     kind, degrees
 ):
     camera = tilted(degrees, width=640)

@@ -1,4 +1,4 @@
-"""The closed loop, with a robot of a few lines and with the stand-in world."""
+"""The closed loop, with a robot of a few lines and with the simulated world."""
 
 import json
 from dataclasses import replace

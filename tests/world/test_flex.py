@@ -1,4 +1,4 @@
-"""The stand-in physics: rest, free fall, and a grip that follows the tip."""
+"""The simulated world's physics: rest, free fall, and a grip that follows the tip."""
 
 import numpy as np
 import pytest

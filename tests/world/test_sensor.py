@@ -1,4 +1,4 @@
-"""The stand-in camera: exact without noise, and wrong by as much as it says with it."""
+"""The simulated camera: exact without noise, and wrong by as much as it says with it."""
 
 import numpy as np
 import pytest

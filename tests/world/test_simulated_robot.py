@@ -1,4 +1,4 @@
-"""The robot of the stand-in world: its starts are cloth that could be."""
+"""The robot of the simulated world: its starts are cloth that could be."""
 
 import numpy as np
 import pytest

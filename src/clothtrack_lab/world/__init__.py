@@ -1,4 +1,4 @@
-"""The stand-in for reality: another engine, a depth camera with noise, a tool in the way."""
+"""The world that is filmed: another engine than the tracker's, a noisy depth camera, a tool."""
 
 from typing import TYPE_CHECKING
 

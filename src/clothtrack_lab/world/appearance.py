@@ -1,4 +1,4 @@
-"""The stand-in camera's colors: woven cloth, a wooden table, a gray tool.
+"""The simulated camera's colors: woven cloth, a wooden table, a gray tool.
 
 Only meant to look plausible and to be told apart by color; depth does not depend on it.
 """

@@ -314,7 +314,7 @@ def _provenance(
     """
     of_garment = {} if garment is None else {"garment_seed": garment.seed}
     return {
-        "source": "stand-in world (clothtrack simulate)",
+        "source": "simulated world (clothtrack simulate)",
         "physics": f"MuJoCo {mujoco.__version__} flex shell",
         "seed": seed,
         "template": None if config.template is None else asdict(config.template),

@@ -1,4 +1,4 @@
-"""What lies behind every pixel of the stand-in camera: table, cloth or tool, without any noise."""
+"""What lies behind every pixel of the simulated camera: table, cloth or tool, without any noise."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""The stand-in depth camera: what it measures of a cloth, a table and a tool in the way."""
+"""The simulated depth camera: what it measures of a cloth, a table and a tool in the way."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

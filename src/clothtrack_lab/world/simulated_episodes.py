@@ -141,7 +141,7 @@ def flatten_simulated(
     )
     store = flattening.run(out / "episodes" / name, watch=watch, progress=progress)
     label = store.document["asked"]["label"]
-    stamp = {"source": "stand-in world (clothtrack flatten)", "seed": episode.seed, **label}
+    stamp = {"source": "simulated world (clothtrack flatten)", "seed": episode.seed, **label}
     if episode.garment_seed is not None:
         stamp["garment_seed"] = episode.garment_seed
     store.joined(out / "recordings" / name, stamp)
