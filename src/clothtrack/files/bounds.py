@@ -141,6 +141,6 @@ def _refused(declared: Any, value: Any) -> str:
 
 
 def _group(owner: type) -> str:
-    """Return the class as settings name it: `line_search` of a `LineSearchConfig`."""
+    """Return the class as settings name it: `template_fit` of a `TemplateFitConfig`."""
     words = re.findall("[A-Z][a-z0-9]*", owner.__name__.removesuffix("Config"))
     return "_".join(words).lower()
