@@ -9,7 +9,6 @@ import pytest
 from import_makers import Film, color_of, depth_of, png, write_folder
 
 from clothtrack.errors import TruncatedError
-from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
 from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
 
@@ -92,24 +91,3 @@ def test_files_are_taken_over_or_left_out(tmp_path):
     assert np.array_equal(depth_of(tmp_path / "out"), film.depth[[0, 2, 4]])
     assert np.array_equal(color_of(tmp_path / "out"), film.color[[0, 2, 4]])
     assert any("31 x 24" in one for one in report.dropped)
-
-
-def test_a_watcher_sees_what_is_taken_over(film, tmp_path):
-    class Watcher:
-        def __init__(self):
-            self.seen = []
-
-        def see(self, time_s, color, depth_m, camera):
-            self.seen.append((color.copy(), np.rint(1e3 * depth_m).astype(np.uint16)))
-
-        def paths(self):
-            return {}
-
-    source, watcher = write_folder(tmp_path / "film", film, "bop"), Watcher()
-    config = ImportOptions(fps=30.0, depth_unit_m=1e-3)
-    import_recording(source, tmp_path / "out", config, watcher=watcher)
-    for (color, depth), wanted_color, wanted_depth in zip(
-        watcher.seen, film.color, film.depth, strict=True
-    ):
-        assert np.array_equal(color, wanted_color)
-        assert np.array_equal(depth, wanted_depth)

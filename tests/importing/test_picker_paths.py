@@ -274,30 +274,6 @@ def test_a_circle_of_frames_ends():
     assert tree.lookup("a", "b", np.array([1])).shape == (1, 4, 4)
 
 
-def test_a_watcher_sees_every_frame_and_tells_the_path(tmp_path):
-    """The seam for paths that are found in the pictures."""
-
-    class Watcher:
-        def __init__(self):
-            self.times, self.depths = [], []
-
-        def see(self, time_s, color, depth_m, camera):
-            self.times.append(time_s)
-            self.depths.append(depth_m)
-            assert color.shape == (camera.height, camera.width, 3)
-
-        def paths(self):
-            positions = np.zeros((len(self.times), 3))
-            return {"found": PickerPath(np.array(self.times), positions, positions[:, 0] == 0)}
-
-    source = write_ros2(tmp_path / "bag", stream(FILM, ROS2), ROS2)
-    watcher = Watcher()
-    report = import_recording(source, tmp_path / "out", watcher=watcher)
-    assert np.allclose(watcher.depths, FILM.depth / 1e3)
-    assert report.pickers == {"found": FILM.frames}
-    assert report.actions == [(0, FILM.frames - 1)]
-
-
 @pytest.mark.parametrize("content", ["[]", "[[1,0,0,0],[0,1,0,0],[0,0,2,0],[0,0,0,1]]", "{"])
 def test_a_wrong_pose_file_is_named(content, tmp_path):
     source = write_ros2(tmp_path / "bag", stream(FILM, ROS2), ROS2)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 def inspect_many(
     artifacts: Sequence[Path | str],
     *,
-    recordings: Path | str | None = None,
     suggest: Path | str | None = None,
     progress: "Progress | None" = None,
 ) -> "Many[Inspection | Verification]":
@@ -24,14 +23,11 @@ def inspect_many(
 
     Of a recording: what it holds, what is wrong with it, and which of its geometry its own pictures
     contradict. Of everything else one line: ok, or what is damaged. Checksums are compared where
-    there are some, and everything is read. With --recordings the first action of a tracked
-    trajectory is tracked again and compared to the bit; a line says so where that cannot be done,
-    as with another version or on another machine. Exit code 1: something is wrong.
+    there are some, and everything is read. Exit code 1: something is wrong.
 
     Args:
         artifacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
             (.safetensors), folders of states or of the benchmark.
-        recordings: the recording, or the folder in which recordings lie by name.
         suggest: folder that gets a copy of the recording, with what is doubtful corrected where
             that can be computed; the recording itself stays as it is.
         progress: called with how much is done.
@@ -51,7 +47,7 @@ def inspect_many(
             found.append(inspect(artifact, suggest=None if suggest is None else Path(suggest)))
         else:
             of_all = one_of(progress, done, len(artifacts))
-            found.append(verify(artifact, recordings, progress=of_all))
+            found.append(verify(artifact, progress=of_all))
     return Many(tuple(found))
 
 

@@ -16,11 +16,8 @@ from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.validation import check_recording
 from clothtrack.recordings.violation import DOCUMENT, grouped
-from clothtrack.tracking.artifacts import inside
-from clothtrack.tracking.replay import replay
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 _VERIFIED = (
@@ -69,22 +66,14 @@ class Verification:
         return f"{self.path}   {'damaged' if self.kind else 'not known'}: {said}"
 
 
-def verify(
-    artifact: Path | str,
-    recording: Path | str | None = None,
-    *,
-    progress: Progress | None = None,
-) -> Verification:
+def verify(artifact: Path | str, *, progress: Progress | None = None) -> Verification:
     """Check one artifact against what was written, by its checksums where it has some.
 
-    Of a recording every picture is decoded. Of a tracked trajectory whose recording is given the
-    first action is tracked again and compared to the bit, where versions and machine are those that
-    tracked it; the notes say where they are not.
+    Of a recording every picture is decoded.
 
     Args:
         artifact: a recording, NAME.zarr, labels or truth (.npz), weights (.safetensors), or a
             folder of states or of the benchmark.
-        recording: of a tracked trajectory: its recording, or the folder in which it lies by name.
         progress: is told how much is done.
     """
     path = Path(artifact)
@@ -92,8 +81,6 @@ def verify(
     kind = ""
     try:
         kind, check = _kind_of(path)
-        if kind == "tracked trajectory" and recording is not None:
-            return _replayed(path, Path(recording), progress)
         return Verification(path, kind, *check(path, progress))
     except (ClothTrackError, OSError) as error:
         text = str(error).removeprefix(f"{path}: ").removeprefix(f"{path} ")
@@ -170,19 +157,6 @@ def _counts(tracked: TrackedTrajectory) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def _replayed(path: Path, recordings: Path, progress: Progress | None) -> Verification:
-    tracked = TrackedTrajectory.load(path)
-    is_it = (recordings / DOCUMENT).exists()
-    try:
-        recording = read_recording(recordings if is_it else inside(recordings, tracked.name))
-    except ClothTrackError as error:
-        notes = _counts(tracked), f"not replayed: {error}"
-        return Verification(path, "tracked trajectory", (), notes)
-    again = replay(tracked, recording, progress)
-    problems = (again.text,) if again.outcome == "differs" else ()
-    return Verification(path, "tracked trajectory", problems, (_counts(tracked), again.text))
 
 
 def _labels(path: Path, progress: Progress | None) -> _Findings:

@@ -6,7 +6,7 @@ direction, 5 to 20 cm. Picks near hems and corners are tried more often, since t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -92,14 +92,12 @@ class ActionSpace(Checked):
         lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
         edges: share of picks that are drawn near edges and corners; the others are anywhere on
             visible cloth, as in the reference code.
-        place: "anywhere", or "off" the cloth as VCD's robot.
         workspace: where the tip may be.
     """
 
     distance_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.05, 0.2)
     lift_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.02, 0.1)
     edges: Share = 0.7
-    place: Literal["anywhere", "off"] = "anywhere"
     workspace: Workspace = field(default_factory=Workspace)
 
 
@@ -229,10 +227,8 @@ def within_limits(
     picks = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], seen.table_height_m)])
     tree = cKDTree(seen.cloud[:, :2])
     ground = np.full(len(places), seen.table_height_m)
-    on_cloth = np.zeros(len(places), dtype=bool)
     for index, near in enumerate(tree.query_ball_point(places, ON_CLOTH_M)):
         if near:
-            on_cloth[index] = True
             ground[index] = seen.cloud[near, 2].max()
     placed = np.column_stack([places, ground + RELEASE_HEIGHT_M])
     top = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], placed[:, 2]) + lifts_m])
@@ -242,8 +238,6 @@ def within_limits(
         allowed &= space.workspace.holds(points)
     for points in (picks, placed):
         allowed &= in_picture(points, seen.camera, PICTURE_MARGIN)
-    if space.place == "off":
-        allowed &= ~on_cloth
     return [
         PickPlace(picks[k].copy(), placed[k].copy(), float(lifts_m[k]))
         for k in np.flatnonzero(allowed)

@@ -28,7 +28,7 @@ from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
 from clothtrack_capture.importing.kinect import KinectSource, is_kinect
 from clothtrack_capture.importing.packed_pictures import PackedPicture
 from clothtrack_capture.importing.pairing import Pair, pair
-from clothtrack_capture.importing.picker_paths import FrameWatcher, add_pickers, placed_paths
+from clothtrack_capture.importing.picker_paths import add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
 from clothtrack_capture.importing.registration import Registration
 from clothtrack_capture.importing.ros_bags import BagSource, bag_files
@@ -81,7 +81,6 @@ def import_recording(
     folder: Path,
     options: ImportOptions | None = None,
     *,
-    watcher: FrameWatcher | None = None,
     progress: Progress | None = None,
 ) -> ImportReport:
     """Import a recording; it appears whole under its name, or not at all.
@@ -90,7 +89,6 @@ def import_recording(
         source: ROS bag, RealSense or Kinect recording, or folder of pictures.
         folder: the recording to write; must not exist.
         options: what a person says about it.
-        watcher: sees every frame and gives the picker's path, when nothing else does.
         progress: told the name, frames done and frames in all.
 
     Raises:
@@ -123,17 +121,20 @@ def import_recording(
             cloth=cloth,
             provenance=_provenance(source, streams),
         ) as writer:
-            job = _Job(opened, registration, camera, watcher)
+            job = _Job(opened, registration)
             times, damaged = _write_frames(
-                writer, job, pairing.pairs, workers=_workers(options), progress=progress
+                writer,
+                job,
+                camera.name,
+                pairing.pairs,
+                workers=_workers(options),
+                progress=progress,
             )
             if not times:
                 reason, count = damaged.most_common(1)[0]
                 raise InvalidRecordingError(
                     f"{source}: none of {count} frames can be decoded: {reason}"
                 )
-            if watcher is not None and not paths:
-                paths = dict(watcher.paths())
             actions, notes = add_pickers(writer, paths, times, options.actions)
     finally:
         opened.close()
@@ -148,6 +149,7 @@ def import_recording(
 def _write_frames(
     writer: RecordingWriter,
     job: "_Job",
+    name: str,
     pairs: Sequence[Pair],
     *,
     workers: int,
@@ -155,7 +157,6 @@ def _write_frames(
 ) -> tuple[list[float], Counter[str]]:
     """Write every pair that can be decoded; their times, and why others could not be."""
     start_ns = pairs[0].depth.time_ns
-    name = job.camera.name
     times: list[float] = []
     damaged: Counter[str] = Counter()
     for done, (moment, result) in enumerate(_in_order(job, pairs, workers), start=1):
@@ -166,7 +167,6 @@ def _write_frames(
             color = None if result.color is None else {name: result.color}
             writer.add_encoded_frame(time_s, color=color, depth={name: result.depth})
             times.append(time_s)
-            job.show(time_s, result)
         if progress is not None:
             progress(f"frame {done}/{len(pairs)}", done, len(pairs))
     return times, damaged
@@ -176,28 +176,13 @@ def _write_frames(
 class _Encoded:
     depth: bytes
     color: bytes | None
-    counts: np.ndarray | None = None
-    picture: np.ndarray | None = None
 
 
 class _Job:
     """Reads a pair, and decodes, registers and encodes it in another thread."""
 
-    def __init__(
-        self,
-        source: Source,
-        registration: Registration,
-        camera: Camera,
-        watcher: FrameWatcher | None,
-    ) -> None:
-        self._source, self._registration, self._watcher = source, registration, watcher
-        self.camera = camera
-
-    def show(self, time_s: float, frame: _Encoded) -> None:
-        """Let the watcher, if there is one, see a frame."""
-        if self._watcher is not None and frame.counts is not None:
-            depth_m = frame.counts * np.float32(self._source.streams.calibration.depth_unit_m)
-            self._watcher.see(time_s, frame.picture, depth_m, self.camera)
+    def __init__(self, source: Source, registration: Registration) -> None:
+        self._source, self._registration = source, registration
 
     def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
         """Read the bytes here, where the file's order is kept; the rest in the pool."""
@@ -210,29 +195,24 @@ class _Job:
 
     def _run(self, depth: Callable[[], Content], color: Callable[[], Content] | None) -> _Encoded:
         registration = self._registration
-        counts, packed = self._ready(depth(), registration.keeps_depth, registration.depth)
+        packed = _png_of(depth(), registration.keeps_depth, registration.depth)
         if color is None:
-            return _Encoded(packed, None, counts)
-        picture, shown = self._ready(color(), registration.keeps_color, registration.color)
-        return _Encoded(packed, shown, counts, picture)
+            return _Encoded(packed, None)
+        return _Encoded(packed, _png_of(color(), registration.keeps_color, registration.color))
 
-    def _ready(
-        self,
-        content: Content,
-        keeps: Callable[[tuple[int, int]], bool],
-        carry: Callable[[np.ndarray], np.ndarray],
-    ) -> tuple[np.ndarray | None, bytes]:
-        """Return the picture, for a watcher, and its PNG: the source's own where it may stay."""
-        png = None
-        if isinstance(content, PackedPicture):
-            png = content.plain_png() if keeps(content.size) else None
-            if png is not None and self._watcher is None:
-                return None, png
-            content = content.decode()
-        carried = carry(content)
-        if png is None:
-            png = encode_png(carried, by_rows=True)
-        return None if self._watcher is None else carried, png
+
+def _png_of(
+    content: Content,
+    keeps: Callable[[tuple[int, int]], bool],
+    carry: Callable[[np.ndarray], np.ndarray],
+) -> bytes:
+    """Return the PNG of a picture: the source's own where it may stay."""
+    if isinstance(content, PackedPicture):
+        png = content.plain_png() if keeps(content.size) else None
+        if png is not None:
+            return png
+        content = content.decode()
+    return encode_png(carry(content), by_rows=True)
 
 
 def _in_order(

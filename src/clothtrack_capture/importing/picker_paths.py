@@ -5,13 +5,11 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.picker_table import COLUMNS, read_picker_paths
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, actions_of
 from clothtrack.recordings.store import RecordingWriter
@@ -25,31 +23,6 @@ _NAMES = {
     "closed": ("closed", "gripper_closed", "grasped"),
 }
 _LARGEST_FILE = 256 * 2**20
-
-
-@runtime_checkable
-class FrameWatcher(Protocol):
-    """Something that sees every frame pass and then knows where the pickers were.
-
-    The seam for paths that are found in the pictures: pass one to `import_recording`.
-    """
-
-    def see(
-        self,
-        time_s: float,
-        color: UInt8[np.ndarray, "height width 3"] | None,
-        depth_m: Float[np.ndarray, "height width"],
-        camera: Camera,
-    ) -> None:
-        """One frame, in order of time: as it will stand in the recording."""
-        ...
-
-    def paths(self) -> Mapping[str, PickerPath]:
-        """Return the path per picker, in the world, on the recording's clock.
-
-        Asked once at the end.
-        """
-        ...
 
 
 def placed_paths(

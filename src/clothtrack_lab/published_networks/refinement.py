@@ -66,8 +66,6 @@ class RefinementConfig(Checked):
         consistency_weight: of observation consistency (the reference: 10); 0 leaves it out.
         rigidity_weight: difference of the displacements along edges while it is solved, as in the
             alignment that follows (the paper: 10).
-        laplacian_weight: of the mesh's uniform Laplacian while it is solved; smooths the mesh and
-            not only its displacement (the reference: 0 when it plans, 0.01 when it is evaluated).
         outlier_m: an observed point that misses its place on the mesh by this counts a quarter [m]:
             its canonical coordinate is wrong (S. Geman, D. McClure, 1987).
         strength: of the pull on visible vertices while the solver carries a correction out.
@@ -77,7 +75,6 @@ class RefinementConfig(Checked):
     consistency_rounds: int = 1
     consistency_weight: NotNegative = 10.0
     rigidity_weight: NotNegative = 10.0
-    laplacian_weight: NotNegative = 0.0
     outlier_m: Positive = 0.02
     strength: Fraction = 0.999
 
@@ -224,7 +221,6 @@ def consistent_displacement(
     points o, w their weights, and U the uniform Laplacian,
 
         c sum_p w_p |S_p (x + d) - o_p|^2 / sum_p w_p + b mean_ij |d_i - d_j|^2
-        + l mean_i |U_i (x + d)|^2
 
     Args:
         mesh: in the world [m], with canonical coordinates.
@@ -251,17 +247,10 @@ def consistent_displacement(
     if not weight.sum() > 0.0:
         return np.zeros((mesh.vertex_count, 3))
     data = shows.T @ sparse.diags_array(config.consistency_weight * weight / weight.sum())
-    laplacian = _edge_laplacian(mesh)
-    matrix = data @ shows + config.rigidity_weight / len(mesh.edges) * laplacian
-    wanted = data @ miss
-    if config.laplacian_weight > 0.0:
-        uniform = sparse.diags_array(1.0 / np.asarray(laplacian.diagonal(), np.float64)) @ laplacian
-        bends = config.laplacian_weight / mesh.vertex_count * (uniform.T @ uniform)
-        matrix = matrix + bends
-        wanted = wanted - bends @ mesh.vertices
+    matrix = data @ shows + config.rigidity_weight / len(mesh.edges) * _edge_laplacian(mesh)
     # A piece of the mesh in which nothing was seen has no equation: it stays where it is.
     matrix = matrix + _STAYS / mesh.vertex_count * sparse.eye_array(mesh.vertex_count)
-    return splu(matrix.tocsc()).solve(wanted)
+    return splu(matrix.tocsc()).solve(data @ miss)
 
 
 _STAYS = 1e-6
