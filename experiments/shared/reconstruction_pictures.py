@@ -7,12 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry import Camera, ClothMesh
-from clothtrack.reconstruction import Reconstruction
 from clothtrack.recordings import Table
 from clothtrack.report.lettering import caption, write
 from clothtrack.report.palette import PAPER, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig
-from clothtrack_lab.published_networks.canonical_frame import canonical_frame
 
 Picture = UInt8[np.ndarray, "height width 3"]
 HEIGHT, WIDTH = 132, 168
@@ -30,16 +28,6 @@ def depth_picture(
     gray = 1.0 - np.clip((depth_m - near) / max(far - near, 1e-3), 0.0, 1.0)
     colors = np.where(shown[..., None], (40 + 200 * gray[..., None]), rgb255(PAPER))
     rows, columns = np.nonzero(shown)
-    cut = colors[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    return framed(cut.astype(np.uint8))
-
-
-def canonical_picture(found: Reconstruction, kind: str) -> Picture:
-    """Canonical coordinates as colors: x red, y green, z blue, over the cube of the category."""
-    known = np.isfinite(found.canonical_image).all(axis=-1)
-    unit = canonical_frame(kind).to_unit(np.where(known[..., None], found.canonical_image, 0.0))
-    colors = np.where(known[..., None], 255.0 * np.clip(unit, 0.0, 1.0), rgb255(PAPER))
-    rows, columns = np.nonzero(known)
     cut = colors[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     return framed(cut.astype(np.uint8))
 

@@ -3,13 +3,11 @@
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="the extra [learn] brings it")
 
-from figures import real_reconstruction, reconstruction_figure, states_sheet
 from shared import learning_experiment, tables
 from shared.bench_runs import read_rows, trajectories
 from shared.learning_labels import (
@@ -27,8 +25,6 @@ from tables import network_alone
 import clothtrack
 from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import ClothMesh
-from clothtrack.reconstruction.data.recipes import CrumplingConfig
-from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings import read_recording
 from clothtrack_lab.published_networks.canonical_frame import conventional
@@ -91,55 +87,6 @@ def _kept(bench):
     """Runs and rows of trajectories; not the experiment's own file."""
     out = bench / "experiments"
     return [one for name in ("runs", "reconstructions") for one in (out / name).rglob("*.*")]
-
-
-@pytest.mark.slow
-def test_ten_states_are_drawn(bench, tmp_path, capsys):
-    image = tmp_path / "states.png"
-    arguments = ["--smoke", "--bench", str(bench), "--image", str(image)]
-    assert reconstruction_figure.main(arguments) == 0
-    picture = cv2.imread(str(image))
-    # One held-out towel of one action: one line of six pictures under its words.
-    width = 6 * reconstruction_figure.WIDTH + 5 * 3
-    assert picture.shape == (reconstruction_figure.HEIGHT + 22, width, 3)
-    assert np.ptp(picture[22:, -reconstruction_figure.WIDTH :], axis=(0, 1)).max() > 60
-    assert "1 states" in capsys.readouterr().out
-
-
-def test_a_sheet_of_states_is_drawn(tmp_path, capsys):
-    config = StatesConfig(
-        vertex_count=120, episodes=2, crumpling=CrumplingConfig(states=2, rest_limit_s=0.2)
-    )
-    generate_states(tmp_path / "towels", "towel", 4, config=config)
-    image = tmp_path / "sheet.png"
-    words = ["--states", str(tmp_path / "towels"), "--count", "4", "--columns", "3"]
-    assert states_sheet.main([*words, "--image", str(image)]) == 0
-    tile = states_sheet.TILE
-    assert cv2.imread(str(image)).shape == (2 * (tile + states_sheet.LETTERS), 3 * tile, 3)
-    assert "kB" in capsys.readouterr().out
-    assert states_sheet.main(["--states", str(tmp_path), "--image", str(image)]) == 1
-
-
-@pytest.mark.slow
-def test_states_come_evenly_from_all(bench):
-    simulated = trajectories(bench)
-    towels = [one for one in simulated if one.name in ("towel_0000", "towel_0001", "towel_0002")]
-    names = [each.trajectory.name for each in reconstruction_figure.states(towels, 2)]
-    assert names == ["towel_0000", "towel_0002"]
-
-
-@pytest.mark.slow
-def test_real_recordings_are_drawn_and_absent_ones_say_why(tmp_path, capsys):
-    images = tmp_path / "images"
-    assert real_reconstruction.main(["--smoke", "--images", str(images)]) == 0
-    report = json.loads((images / "real_reconstruction.json").read_text())
-    assert report["towel_0000"]["image"] == "towel_0000.png"
-    assert (images / "towel_0000.png").stat().st_size > 5_000
-    figures = report["towel_0000"]["cloud_to_vertices_m2"]
-    assert figures["fine-tuned at test time"] <= figures["network"]
-    skipped = {name for name, one in report.items() if "skipped" in one}
-    assert skipped == {one.name for one in real_reconstruction.SETS}
-    assert "skipped, there is no" in capsys.readouterr().out
 
 
 @pytest.fixture(scope="module")
