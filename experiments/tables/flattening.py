@@ -135,13 +135,9 @@ def methods(options: argparse.Namespace) -> list[Method]:
     for name, weights in (("pretrained", options.weights), ("fine-tuned", options.tuned)):
         if not weights:
             continue
-        seen = {
-            how: replace(base, perception=PerceptionConfig(name=how, weights=str(weights)))
-            for how in ("network", "tracker")
-        }
-        found.append(Method(name, seen["network"]))
-        found.append(Method(f"{name}, tracker", seen["tracker"]))
-        found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
+        seen = replace(base, perception=PerceptionConfig(weights=str(weights)))
+        found.append(Method(name, seen))
+        found.append(Method(f"{name}, learned dynamics", replace(seen, **learned)))
     if options.only:
         known = {one.name for one in found}
         found = [
@@ -152,18 +148,12 @@ def methods(options: argparse.Namespace) -> list[Method]:
     return found
 
 
-def filming(robot: SimulatedRobotConfig, method: Method) -> SimulatedRobotConfig:
-    """The robot, which films where somebody tracks: without pictures of an action nobody can."""
-    tracks = method.config.perception.name == "tracker"
-    return replace(robot, film=robot.film or tracks)
-
-
 def task_of(
     method: Method, episode: SimulatedEpisode, out: Path, robot: SimulatedRobotConfig, device: str
 ) -> Task:
     """One episode of one method, which knows the template of the one garment where there is one."""
     config = knowing_the_garment(method.config, episode.garment, out)
-    return Task(replace(method, config=config), episode, out, filming(robot, method), device)
+    return Task(replace(method, config=config), episode, out, robot, device)
 
 
 def run(task: Task) -> list[Row]:
@@ -256,7 +246,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR)
     with tempfile.TemporaryDirectory(prefix=f"{NAME}-") as temporary:
         out = options.out or Path(temporary)
-        robot = SimulatedRobotConfig(film=options.film)
+        robot = SimulatedRobotConfig(film=False)
         if options.smoke:
             robot = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
             if not options.weights:
@@ -353,7 +343,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         type=Path,
         help="of the learned mesh dynamics; those that come along by default",
     )
-    parser.add_argument("--film", action="store_true", help="pictures all through the actions")
     parser.add_argument(
         "--only", nargs="+", metavar="NAME", help="methods by name, or by how their names begin"
     )

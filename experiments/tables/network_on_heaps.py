@@ -35,7 +35,7 @@ from clothtrack.files import content_hash, finished_in_workers
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import quiet_warp, visible_vertices
 from clothtrack.planning import EpisodeStore, Estimate, PerceptionConfig
-from clothtrack.planning.perception import Look, NetworkPerception
+from clothtrack.planning.perception import NetworkPerception
 from clothtrack.recordings import observe, read_recording
 
 NAME = "network_on_heaps"
@@ -110,7 +110,7 @@ def run(task: Task) -> list[Row]:
             },
         }  # fmt: skip
         try:
-            estimate = network.perceive(Look(read_recording(store.recording_path(step)), False))
+            estimate = network.perceive(read_recording(store.recording_path(step)))
         except ClothTrackError as error:
             rows.append({**named, "error": str(error)})
             continue

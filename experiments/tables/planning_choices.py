@@ -43,10 +43,11 @@ from clothtrack.planning.action_space import (
     sample_actions,
 )
 from clothtrack.planning.episode_store import write_step
-from clothtrack.planning.perception import Estimate, Look, Perception
+from clothtrack.planning.perception import Estimate, Perception
 from clothtrack.planning.planner import Hypothesis, Planner, ranked
 from clothtrack.planning.seen import seen_cloth
 from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack.recordings import Recording, observe
 from clothtrack_lab.world import SMALL_WORLD, SimulatedRobot, SimulatedRobotConfig
 from clothtrack_lab.world.flex import Fabric
 
@@ -80,10 +81,9 @@ def preferred(gains_m2: np.ndarray, off_m: np.ndarray, strip_m: float) -> int:
     return int(ranked(gains_m2, gains_m2 + strip_m * off_m)[0])
 
 
-def looked(robot: SimulatedRobot, folder: Path) -> Look:
+def looked(robot: SimulatedRobot, folder: Path) -> Recording:
     """Take a picture of the cloth, without any action."""
-    shown = write_step(folder, [robot.observe()], cloth=robot.cloth, table=robot.table)
-    return Look(shown, acted=False)
+    return write_step(folder, [robot.observe()], cloth=robot.cloth, table=robot.table)
 
 
 Start = tuple[str, SimulatedRobot, Callable[[Path], None]]
@@ -101,8 +101,8 @@ def fresh_starts(
             robot.crumple()
             rng = np.random.default_rng([seed, 0xC401CE])
             for number in range(seed % 3):
-                look = looked(robot, folder / f"before{number}")
-                seen = seen_cloth(look.recording, look.observation())
+                shown = looked(robot, folder / f"before{number}")
+                seen = seen_cloth(shown, observe(shown, shown.frames[-1]))
                 tried = sample_actions(seen, 100, space, rng)
                 robot.execute(tried[int(np.argmax(off_cloth(seen, tried)))])
 
@@ -143,9 +143,9 @@ def measured(
     """Return promises and true gains of what anyone would choose now."""
     rng = np.random.default_rng([*name.encode()])
     space = planner.config.space
-    look = looked(robot, folder / "shown")
-    seen = seen_cloth(look.recording, look.observation())
-    found = {name: each.perceive(look) for name, each in perceptions.items()}
+    shown = looked(robot, folder / "shown")
+    seen = seen_cloth(shown, observe(shown, shown.frames[-1]))
+    found = {name: each.perceive(shown) for name, each in perceptions.items()}
     flat, positions = robot.true_cloth()
     found["truth"] = Estimate(flat, positions, "control: truth")
     beliefs = {each: Hypothesis(one.flat, one.positions, robot.kind) for each, one in found.items()}

@@ -12,7 +12,7 @@ import pytest
 
 from clothtrack.garments import towel
 from clothtrack.planning import CoarseConfig, Estimate
-from clothtrack.recordings import read_color, read_depth, read_recording
+from clothtrack.recordings import observe, read_color, read_depth, read_recording
 from clothtrack_capture import CapturedFrame
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -94,8 +94,8 @@ class Outwards:
 class Known:
     """Perception that has been told where the cloth is."""
 
-    def perceive(self, look):
-        middle = look.observation().points.mean(axis=0)
+    def perceive(self, recording):
+        middle = observe(recording, recording.frames[-1]).points.mean(axis=0)
         return Estimate(FLAT, FLAT.vertices + middle, "network")
 
 

@@ -79,10 +79,10 @@ class Known:
     """Perception that knows the paper; a test may."""
 
     def __init__(self, robot):
-        self.robot, self.looks = robot, []
+        self.robot, self.shown = robot, []
 
-    def perceive(self, look):
-        self.looks.append(look)
+    def perceive(self, recording):
+        self.shown.append(recording)
         flat = FLAT.with_vertices(FLAT.vertices + [0.0, 0.0, 0.0015])
         vertices = self.robot.vertices
         return Estimate(flat, vertices, "network", opposite=vertices + [0.0, 0.0, 0.001])

@@ -20,12 +20,13 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
-from clothtrack.planning.perception import Estimate, Look, Perception
+from clothtrack.planning.perception import Estimate, Perception
 from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
-from clothtrack.recordings.recording import ClothDescription, Table
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.store import read_recording
 
 logger = logging.getLogger(__name__)
@@ -166,12 +167,12 @@ class Flattening:
             if self._checkpoint is not None:
                 self._checkpoint.restore(done)
             estimate = store.estimate(done)
-            look = Look(read_recording(store.recording_path(done)), done > 0, estimate)
+            shown = read_recording(store.recording_path(done))
         else:
             store.clear_after(-1)
-            look, estimate = self._first_look(store)
+            shown, estimate = self._first_look(store)
         while not store.finished:
-            look, estimate = self._advance(store, look, estimate, watch)
+            shown, estimate = self._advance(store, shown, estimate, watch)
         return store
 
     def _tell(self, actions: int, phase: str) -> None:
@@ -186,7 +187,7 @@ class Flattening:
             len(phases) * most + 1,
         )
 
-    def _first_look(self, store: EpisodeStore) -> tuple[Look, Estimate | None]:
+    def _first_look(self, store: EpisodeStore) -> tuple[Recording, Estimate | None]:
         """Observe the cloth before any action."""
         self._tell(0, "look")
         self._robot.home()
@@ -194,12 +195,11 @@ class Flattening:
             store.recording_path(0), [self._robot.observe()], cloth=self._scene.cloth,
             table=self._scene.table,
         )  # fmt: skip
-        look = Look(recording, acted=False)
-        return look, self._finish_step(store, look, {"step": 0, "action": None})
+        return recording, self._finish_step(store, recording, {"step": 0, "action": None})
 
     def _advance(
-        self, store: EpisodeStore, look: Look, estimate: Estimate | None, watch: Watch | None
-    ) -> tuple[Look, Estimate | None]:
+        self, store: EpisodeStore, shown: Recording, estimate: Estimate | None, watch: Watch | None
+    ) -> tuple[Recording, Estimate | None]:
         """Decide, act, look; or end the episode."""
         number = len(store.steps) - 1
         row = store.steps[number]
@@ -207,7 +207,7 @@ class Flattening:
         status = self._ended(store, row)
         if not status:
             self._tell(number, "plan")
-            decision = self._decide(look, estimate, number)
+            decision = self._decide(shown, estimate, number)
             status = "" if decision.action is not None else "no action is within reach"
         if status:
             store.document["status"] = status
@@ -215,7 +215,7 @@ class Flattening:
         if watch is not None:
             watch(store, decision)
         if status or decision is None or decision.action is None:
-            return look, estimate
+            return shown, estimate
         self._tell(number, "act")
         execution = self._robot.execute(decision.action)
         if not execution.error:
@@ -227,21 +227,20 @@ class Flattening:
             table=self._scene.table, execution=execution,
         )  # fmt: skip
         self._tell(number + 1, "look")
-        look = Look(recording, acted=True, before=estimate)
         row = _step_row(number + 1, decision, decision.action, execution)
-        return look, self._finish_step(store, look, row)
+        return recording, self._finish_step(store, recording, row)
 
-    def _decide(self, look: Look, estimate: Estimate | None, number: int) -> Decision:
+    def _decide(self, shown: Recording, estimate: Estimate | None, number: int) -> Decision:
         """Return the next action that the robot can carry out."""
         rng = np.random.default_rng([_OF_EPISODES, self._seed, number, 0])
-        seen = seen_cloth(look.recording, look.observation())
+        seen = seen_cloth(shown, observe(shown, shown.frames[-1]))
         if self._planner is None:
             assert self._propose is not None  # __init__ refuses neither
             proposed = self._propose(seen, self._config.planner, rng)
             return Decision(self._reachable(proposed), 0.0)
         if estimate is None:
             raise InvalidResultError(
-                f"{look.recording.folder}: what was believed of it is missing; remove the episode"
+                f"{shown.folder}: what was believed of it is missing; remove the episode"
             )
         belief = Hypothesis(
             estimate.flat, estimate.positions, self._scene.cloth.kind, estimate.opposite
@@ -262,10 +261,12 @@ class Flattening:
             logger.info("an action is not reachable: %s", reachability.reason)
         return None
 
-    def _finish_step(self, store: EpisodeStore, look: Look, row: dict[str, Any]) -> Estimate | None:
+    def _finish_step(
+        self, store: EpisodeStore, shown: Recording, row: dict[str, Any]
+    ) -> Estimate | None:
         """Perceive, measure, and write everything down; the step is finished then."""
         clock, cpu = time.perf_counter(), time.process_time()
-        estimate = None if self._perception is None else self._perception.perceive(look)
+        estimate = None if self._perception is None else self._perception.perceive(shown)
         row["perception_s"] = time.perf_counter() - clock
         row["perception_cpu_s"] = time.process_time() - cpu
         row["sources"] = [] if estimate is None else [estimate.source]
@@ -273,7 +274,7 @@ class Flattening:
         flat = self._scene.flat_area_m2
         if flat is None and estimate is not None:
             flat = projected_area(estimate.flat.vertices, estimate.flat.faces)
-        row["seen_m2"] = seen_area(look.recording, look.frame)
+        row["seen_m2"] = seen_area(shown, shown.frames[-1])
         row["flat_m2"] = flat
         row["true_m2"] = None if self._score is None else self._score()
         if estimate is not None:

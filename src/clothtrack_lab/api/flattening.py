@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clothtrack.files.progress import Progress
     from clothtrack.planning.flatten_config import FlattenConfig
 
-Perception = Literal["network", "tracker", "truth"]
+Perception = Literal["network", "truth"]
 Policy = Literal["planned", "random", "outwards", "heuristic"]
 
 
@@ -134,8 +134,8 @@ def flatten_many(
         garment_seed: the same garment in every episode, of a cut, size and thickness that no
             shipped network was trained on; SEED draws start, noise and candidates alone.
         recording: plan for its last picture, and move nothing (a dry run).
-        perception: the network's mesh of each picture, or the tracker's carried on; truth is a
-            control (an upper bound, no result) and simulated only.
+        perception: the network's mesh of each picture; truth is a control (an upper bound, no
+            result) and simulated only.
         weights: of the reconstruction network; the ones that come with clothtrack by default.
         policy: planned; or, without any mesh, random actions, the place farthest off the cloth of
             a hundred, or the farthest corner outwards.
