@@ -5,8 +5,8 @@
 
 W1, W2, ... are weights of one training, the earliest first; --examples says how many each has seen.
 For every kind of garment, by coverage, the mean error, and what a power of the number of examples
-fitted to it says: the error after 100,000 and a million examples more. A fit to a few weights
-says little of how far it carries.
+fitted to it says: the error after 100,000 and a million examples more, and how many times as many
+examples half the error asks for. A fit to a few weights says little of how far it carries.
 """
 
 import argparse
@@ -50,8 +50,18 @@ class Curve:
 
     def after(self, more: float) -> float:
         """Return the error [mm] that a fitted power law has after so many examples more."""
-        slope, offset = np.polyfit(np.log(self.examples), np.log(self.errors_mm), 1)
+        slope, offset = self._fit()
         return float(np.exp(offset + slope * np.log(self.examples[-1] + more)))
+
+    @property
+    def halving(self) -> float:
+        """How many times as many examples the fit asks for half the error; infinite if it rises."""
+        slope, _ = self._fit()
+        return float(2.0 ** (-1.0 / slope)) if slope < 0.0 else float("inf")
+
+    def _fit(self) -> tuple[float, float]:
+        slope, offset = np.polyfit(np.log(self.examples), np.log(self.errors_mm), 1)
+        return float(slope), float(offset)
 
 
 def curves(rows: Sequence[dict[str, Any]], examples: Sequence[int]) -> list[Curve]:
@@ -90,10 +100,11 @@ def curves(rows: Sequence[dict[str, Any]], examples: Sequence[int]) -> list[Curv
 def markdown(found: Sequence[Curve]) -> str:
     """Return one line per curve: the errors [mm], and what the fit says of more examples."""
     seen = [f"{one / 1000:.0f}k" for one in found[0].examples]
-    head = ["error, mm", "states", *seen, *(f"fit: {one / 1000:,.0f}k more" for one in MORE)]
+    head = ["error, mm", "states", *seen, *(f"fit: {one / 1000:,.0f}k more" for one in MORE),
+            "half the error: times as many"]  # fmt: skip
     lines = [
         [one.name, str(one.states), *(f"{error:.1f}" for error in one.errors_mm),
-         *(f"{one.after(more):.0f}" for more in MORE)]
+         *(f"{one.after(more):.0f}" for more in MORE), f"{one.halving:.0f}"]
         for one in found
     ]  # fmt: skip
     return table(head, lines)
@@ -116,7 +127,8 @@ def draw(found: Sequence[Curve], image: Path) -> None:
                         one.examples / 1000, one.errors_mm, one.spreads_mm, label=kind, capsize=2
                     )
             title = "all fresh states" if words == "all" else f"covering {words} of their area"
-            panel.set(title=title, xlabel="examples seen, thousands", ylim=(0, None))
+            panel.set(title=title, xlabel="examples seen, thousands")
+        panels[0].set_ylim(bottom=0.0)
         panels[0].set_ylabel("mean error of a vertex, mm")
         panels[0].legend(frameon=False)
         image.parent.mkdir(parents=True, exist_ok=True)

@@ -27,6 +27,8 @@ def test_a_power_of_the_examples_is_read_back():
     # Sixteen times as many examples as at first: a quarter of the error.
     assert every.after(1_200_000) == pytest.approx(7.5)
     assert heaps.after(1_200_000) == pytest.approx(10.0)
+    assert every.halving == pytest.approx(4.0)
+    assert learning_curve.curves(rows_of(0.1), EXAMPLES)[0].halving == float("inf")
 
 
 def test_the_figure_is_drawn_and_the_table_printed(tmp_path, capsys):
