@@ -22,9 +22,7 @@ import numpy as np
 from jaxtyping import Float
 from shared.figures import plot_style, say
 from shared.tables import table
-
-BELOW = 0.55
-"""Coverage below which a state is a heap."""
+from tables.network_on_states import HEAP
 
 MORE = (100_000, 1_000_000)
 """Examples more, for which the fit is asked."""
@@ -78,7 +76,7 @@ def curves(rows: Sequence[dict[str, Any]], examples: Sequence[int]) -> list[Curv
         )
     found = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
-        for words, most in (("all", np.inf), (f"below {100 * BELOW:g} %", BELOW)):
+        for words, most in (("all", np.inf), (f"below {100 * HEAP:g} %", HEAP)):
             errors = [
                 [row["error_mm"] for row in rows if row["weights"] == network
                  and row["kind"] == kind and "error_mm" in row and row["coverage"] < most]
@@ -119,7 +117,7 @@ def draw(found: Sequence[Curve], image: Path) -> None:
 
     with plt.rc_context(plot_style(title_size=10)):
         figure, panels = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained", sharey=True)
-        for panel, words in zip(panels, ("all", f"below {100 * BELOW:g} %"), strict=True):
+        for panel, words in zip(panels, ("all", f"below {100 * HEAP:g} %"), strict=True):
             for one in found:
                 kind, _, which = one.name.partition(", ")
                 if which == words:

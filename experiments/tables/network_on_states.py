@@ -65,7 +65,10 @@ from clothtrack.recordings import Table
 from clothtrack.report.viewpoint import three_quarter_view
 from clothtrack_lab.published_networks.rendered_state import render
 
-COVERAGES = (0.0, 0.55, 0.85, np.inf)
+HEAP = 0.55
+"""Coverage below which a state is a heap."""
+
+COVERAGES = (0.0, HEAP, 0.85, np.inf)
 """Bounds of the bands of true coverage in which errors are given."""
 
 NEARLY_SQUARE = 0.85

@@ -55,9 +55,6 @@ from tables import network_on_states
 JUDGE_SEED = 77
 """Of the states that judge; no round may have it."""
 
-BELOW = 0.55
-"""Coverage below which a state is a heap."""
-
 SMALL = StatesConfig(
     vertex_count=250, episodes=2, crumpling=CrumplingConfig(states=2, rest_limit_s=0.2)
 )
@@ -130,7 +127,7 @@ def judged(options: argparse.Namespace, weights: Path, config: StatesConfig) -> 
 def _errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | int]:
     """Mean error of all states and of heaps [mm], and how many states gave no mesh."""
     good = [row for row in rows if "error" not in row]
-    heaps = [row["error_mm"] for row in good if row["coverage"] < BELOW]
+    heaps = [row["error_mm"] for row in good if row["coverage"] < network_on_states.HEAP]
     return {
         "all_mm": float(np.mean([row["error_mm"] for row in good])) if good else float("nan"),
         "heaps_mm": float(np.mean(heaps)) if heaps else float("nan"),
