@@ -7,7 +7,6 @@ from clothtrack.geometry.boxes import EIGHT, no_boxes
 from clothtrack.geometry.device_arrays import overwrite
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.buffers import ClothBuffers
-from clothtrack.simulation.contact import scatter_kernels as scatter
 from clothtrack.simulation.contact import triangle_contact_kernels as triangles
 from clothtrack.simulation.contact import triangle_push_kernels as pushes
 from clothtrack.simulation.contact.blocks_of_eight import Eights, in_eights
@@ -132,36 +131,23 @@ class _ScatteredPush:
 
     def __init__(self, contact: TriangleContact) -> None:
         self._contact = contact
-        shape = contact.buffers.shape
         self._device = device = contact.buffers.positions.device
-        pairs = (shape[0], shape[1] * TRIANGLES_PER_VERTEX)
-        self._corners = wp.zeros(pairs, dtype=wp.vec4i, device=device)
-        self._keeps = wp.zeros(pairs, dtype=wp.vec2, device=device)
-        self._totals = wp.zeros(shape[0], dtype=int, device=device)
-        self._received = wp.zeros(shape, dtype=scatter.Received, device=device)
+        self._active = wp.zeros(contact.buffers.shape, dtype=float, device=device)
 
     def prepare(self) -> None:
-        """List the pairs one behind the other."""
-        contact, buffers = self._contact, self._contact.buffers
-        wp.launch(
-            scatter.list_in_a_row,
-            dim=buffers.shape[0],
-            inputs=[buffers.faces, contact.sides, contact.distances, contact.counts],
-            outputs=[self._corners, self._keeps, self._totals],
-            device=self._device,
-        )
+        """Prepare nothing: the pairs are read where `find` listed them."""
 
     def launch(self) -> None:
         """Compute what contact adds to the positions."""
         contact, buffers = self._contact, self._contact.buffers
         wp.launch(
-            scatter.scatter_impulses,
+            pushes.scatter_impulses,
             dim=buffers.shape[0],
             inputs=[
-                *contact.impulse_inputs, self._corners, self._keeps, self._totals,
-                buffers.inverse_masses, buffers.positions, buffers.start,
+                *contact.impulse_inputs, buffers.faces, contact.sides, contact.distances,
+                contact.counts, buffers.inverse_masses, buffers.positions, buffers.start,
             ],
-            outputs=[self._received, buffers.moves, buffers.stops],
+            outputs=[self._active, buffers.moves, buffers.stops],
             device=self._device,
         )  # fmt: skip
 

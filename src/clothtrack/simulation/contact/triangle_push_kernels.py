@@ -1,10 +1,9 @@
 """Kernels that push apart what vertex-triangle contact has listed.
 
 Each pair gives equal and opposite impulses to the vertex and to the triangle's corners. On a GPU
-every pair's impulse is stored first and every vertex then gathers what concerns it, in a fixed
-order. On a CPU, where threads run one after another, `scatter_kernels` goes through the pairs of an
-environment and adds each impulse where it belongs. Both are the same sums in another order; neither
-depends on the order of threads.
+every pair's impulse is stored first, and every vertex then gathers its own in a fixed order. On a
+CPU one thread goes through the pairs of an environment and adds each impulse at once. Both compute
+the same sums in another order, and neither depends on the order of threads.
 """
 
 from typing import no_type_check
@@ -200,3 +199,65 @@ def gather_impulses(
     share = inverse_masses[environment, vertex] / wp.max(active, 1.0)
     moves[environment, vertex] = share * total
     stops[environment, vertex] = share * stopped
+
+
+@no_type_check
+@wp.kernel
+def scatter_impulses(
+    clocks: wp.array(dtype=Clock),
+    tolerance: float,
+    push_out_speed: float,
+    friction: wp.array(dtype=float),
+    faces: wp.array(dtype=wp.vec3i),
+    sides: wp.array3d(dtype=int),
+    distances: wp.array3d(dtype=float),
+    counts: wp.array2d(dtype=int),
+    inverse_masses: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    start: wp.array2d(dtype=wp.vec3),
+    active: wp.array2d(dtype=float),
+    moves: wp.array2d(dtype=wp.vec3),
+    stops: wp.array2d(dtype=wp.vec3),
+):
+    """Do what `find_impulses` and `gather_impulses` do, with one thread per environment.
+
+    `active` is scratch: the shares of the active pairs in each vertex.
+    """
+    environment = wp.tid()
+    longest = push_out_speed * clocks[0].substep_s
+    mass = inverse_masses[environment]
+    here = positions[environment]
+    before = start[environment]
+    moved = moves[environment]
+    stopped = stops[environment]
+    sums = active[environment]
+    for number in range(mass.shape[0]):
+        vertex = nth(number)
+        moved[vertex] = wp.vec3(0.0, 0.0, 0.0)
+        stopped[vertex] = wp.vec3(0.0, 0.0, 0.0)
+        sums[vertex] = 0.0
+    for number in range(mass.shape[0]):
+        vertex = nth(number)
+        for listed in range(counts[environment, vertex]):
+            slot = nth(listed)
+            code = sides[environment, vertex, slot]
+            face = faces[nth(wp.abs(code) - 1)]
+            impulse = pair_impulse(
+                vertex, code, distances[environment, vertex, slot], longest, tolerance,
+                friction[environment], face, mass, here, before,
+            )  # fmt: skip
+            if wp.dot(impulse.moving, impulse.moving) > 0.0:
+                moved[vertex] = moved[vertex] + impulse.moving
+                stopped[vertex] = stopped[vertex] + impulse.stopping
+                sums[vertex] = sums[vertex] + 1.0
+                for corner in range(3):
+                    to = nth(face[corner])
+                    share = impulse.foot[corner]
+                    moved[to] = moved[to] - share * impulse.moving
+                    stopped[to] = stopped[to] - share * impulse.stopping
+                    sums[to] = sums[to] + wp.abs(share)
+    for number in range(mass.shape[0]):
+        vertex = nth(number)
+        share = wp.where(sums[vertex] > 0.0, mass[vertex] / wp.max(sums[vertex], 1.0), 1.0)
+        moved[vertex] = share * moved[vertex]
+        stopped[vertex] = share * stopped[vertex]
