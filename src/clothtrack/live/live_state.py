@@ -29,7 +29,7 @@ class LiveState:
         astray: whether the mesh has lost the cloth, with a fifth of the vertices lost in two
             judgments. Once no picker holds the cloth, the network computes another mesh.
         picker_lag_s: delay of the cloth's motion after the closed picker's in the last action, in
-            the given times [s]; below 0 if the picker's times are late, 0 if the times agree.
+            the given times [s]; below 0 if the picker's times are late, 0 if no lag was found.
         held: vertices that each closed picker holds, by its name.
         latency_s: time from the call of `update` to this state [s]; in a `LiveStream` from the
             arrival of the picture.

@@ -101,7 +101,7 @@ class Recovery:
         self._processes |= set(active_children()) - others
 
     def answer(self) -> InitialState | str | None:
-        """Return the network's mesh once, or why there is none; None if there is no answer."""
+        """Return the network's mesh once, or why there is none; None if it is not ready."""
         if self._asked is None or not self._asked.done():
             return None
         asked, self._asked = self._asked, None
