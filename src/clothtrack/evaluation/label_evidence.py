@@ -1,7 +1,7 @@
-"""What can be observed of how right a label is: the mesh against its cloud, and against cloth.
+"""Observable evidence of a label's quality: how well the mesh fits its cloud and behaves as cloth.
 
-A label is the mesh at the end of an action, after the final alignment. Nothing here takes the
-truth. What is observed becomes one number in `clothtrack.evaluation.label_quality`.
+A label is the mesh at the end of an action, after the final alignment. Nothing here uses the
+truth. `clothtrack.evaluation.label_quality` combines the evidence into one number.
 """
 
 from collections.abc import Sequence
@@ -24,17 +24,17 @@ from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 _CLOUD_SPACING_M = 0.004
-"""Clouds are thinned to this before distances are taken [m]: what a vertex is tracked with."""
+"""Point spacing of the clouds used for distances [m], as in tracking."""
 
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """A mesh that may be trained on.
+    """Mesh that may be used for training.
 
     Attributes:
-        frame: frame of the recording that it belongs to.
-        vertices: after the final alignment [m].
-        before: before the final alignment [m].
+        frame: its frame of the recording.
+        vertices: vertices after the final alignment [m].
+        before: vertices before the final alignment [m].
     """
 
     frame: int
@@ -44,21 +44,21 @@ class Label:
 
 @dataclass(frozen=True)
 class LabelEvidence:
-    """What speaks against a label; of each, more is worse, and none needs the truth.
+    """Evidence against a label; larger values are worse, and none needs the truth.
 
     Attributes:
-        silhouette_gap: 1 minus intersection over union of the mesh's and the cloth's pictures,
-            without what could not have been seen or was cut away from the cloud.
+        silhouette_gap: 1 minus intersection over union of the mesh's and the cloth's silhouettes,
+            without parts that were unobservable or cut away from the cloud.
         cloud_gap_m: mean distance of the cloud's points to the mesh [m].
-        mesh_gap_m: distance to the cloud [m] that 90 % of the visible vertices stay under; those
-            that may lack points without fault do not count.
-        edge_strain_p95: relative change of length that 95 % of the edges stay under.
+        mesh_gap_m: 90th percentile of the visible vertices' distance to the cloud [m]; vertices in
+            unobservable regions do not count.
+        edge_strain_p95: 95th percentile of the edges' absolute relative change of length.
         crossing_rate: edges that pass through a triangle, per 1,000 edges.
-        final_shift_m: how far the final alignment moved the vertices on average [m].
-        travelled_m: mean way of the vertices from label to label, summed up to this one [m].
+        final_shift_m: mean shift of the vertices by the final alignment [m].
+        travelled_m: mean path length of the vertices from label to label, up to this one [m].
         share_hidden: share of the vertices that no camera sees.
-        action: number of the action, from 1: errors are handed on.
-        misfit: where the mesh contradicts what was seen; None from what does not say.
+        action: number of the action, from 1; it matters because errors accumulate.
+        misfit: local misfit between mesh and observation; None if not stored.
     """
 
     silhouette_gap: float
@@ -81,7 +81,7 @@ EVIDENCE_NAMES = tuple(one.name for one in fields(LabelEvidence) if one.name != 
 
 
 def labels_of(tracked: TrackedTrajectory) -> tuple[Label, ...]:
-    """The labels that a tracked trajectory holds: one per action."""
+    """Return the labels of a tracked trajectory, one per action."""
     return tuple(
         Label(
             action.last_frame,
@@ -100,17 +100,17 @@ def label_evidence(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> tuple[LabelEvidence, ...]:
-    """Look at every label of one trajectory.
+    """Return the evidence about every label of one trajectory.
 
     Args:
         mesh: the first mesh; its edges are the rest lengths.
-        labels: in the order of the actions.
-        recording: what they were tracked from.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        labels: labels in the order of the actions.
+        recording: recording that they were tracked from.
+        segmenter: segmentation of the cloth; the recording's own by default.
         device: "cpu" or "cuda:0", for visibility.
 
     Raises:
-        InvalidResultError: a label belongs to a frame that the recording does not have.
+        InvalidResultError: the recording has no frame for a label.
     """
     evidence = []
     traveled, previous = 0.0, np.asarray(mesh.vertices, np.float64)
@@ -140,14 +140,14 @@ def misfit_at(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> LocalMisfit:
-    """Return where a mesh contradicts what was seen in a frame.
+    """Return the local misfit between a mesh and the observation of a frame.
 
     Args:
         mesh: the topology and the flat cloth.
-        vertices: where its vertices are [m].
-        recording: what the mesh was tracked from.
+        vertices: positions of its vertices [m].
+        recording: recording that the mesh was tracked from.
         frame: number of the frame.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        segmenter: segmentation of the cloth; the recording's own by default.
         device: "cpu" or "cuda:0", for the outlines.
     """
     dense, cloud = _seen(recording, frame, segmenter)
@@ -173,14 +173,14 @@ def mesh_evidence(
     action: int,
     device: str = "cpu",
 ) -> LabelEvidence:
-    """Hold one mesh against what was seen.
+    """Return the evidence about one mesh.
 
     Args:
         mesh: the first mesh; its edges are the rest lengths.
         label: the mesh.
-        dense: the cloud of its frame, and where the cameras were blind.
+        dense: the cloud of its frame, with the unobservable regions.
         cloud: the same cloud thinned [m].
-        travelled_m: mean way of the vertices until here [m].
+        travelled_m: mean path length of the vertices so far [m].
         action: number of the action, from 1.
         device: "cpu" or "cuda:0", for visibility.
     """
@@ -216,5 +216,5 @@ def _edge_strain_p95(mesh: ClothMesh, vertices: Float[np.ndarray, "vertices 3"])
 
 
 def mean_distance(a: Float[np.ndarray, "points 3"], b: Float[np.ndarray, "points 3"]) -> float:
-    """Return the mean distance between the points of a pair [m]."""
+    """Return the mean distance between corresponding points [m]."""
     return float(np.linalg.norm(a - b, axis=1).mean())

@@ -1,8 +1,8 @@
-"""How good a label is, told without the truth: the error to expect.
+"""Expected error of a label, estimated without the truth.
 
-The logarithm of the error is a sum over the evidence, each piece as a logarithm and with a weight
-that is never negative: what looks worse can only make the expected error larger. The weights come
-with the package; `python experiments label_quality` fits them on the benchmark's `dev` split.
+The logarithm of the error is a weighted sum of logarithms of the evidence. The weights are never
+negative, so that worse evidence can only increase the expected error. The weights come with the
+package; `python experiments label_quality` fits them on the benchmark's `dev` split.
 """
 
 import json
@@ -48,29 +48,29 @@ SCALES: Mapping[str, float] = {
     "share_hidden": 0.05,
     "action": 1.0,
 }
-"""What of each piece of evidence is nothing yet: below, it counts linearly; above, its logarithm.
+"""Scale of each piece of evidence: it counts linearly below and logarithmically above.
 
-In the evidence's own units; about what a sensor's noise makes, not fitted.
+In the evidence's own units; roughly the effect of sensor noise, not fitted.
 """
 
 SHRINKAGE = 0.1
 """Weight of the squared coefficients against the mean squared residual.
 
-Pieces of evidence that tell the same share the weight. Not fitted: from 0.02 to 0.3 the
-cross-validated rank correlation moves by 0.01.
+Correlated pieces of evidence share the weight. Not fitted, because from 0.02 to 0.3 the
+cross-validated rank correlation changes by 0.01.
 """
 
 
 @dataclass(frozen=True)
 class QualityModel(Checked):
-    """The error to expect from what is observed.
+    """Model of the expected error as a function of the evidence.
 
     ln(error / 1 m) = log_error + sum of weights * ln(1 + evidence / scale), weights >= 0.
 
     Attributes:
-        log_error: logarithm of the error [m] of a label that nothing speaks against.
-        weights: by name of the evidence, 0 or more; a name that is missing has none.
-        provenance: which labels these were, of which commit, and how well it foretold others.
+        log_error: logarithm of the error [m] of a label without evidence against it.
+        weights: weights by name of the evidence, 0 or more; 0 for a missing name.
+        provenance: labels and commit of the fit, and the accuracy on other labels.
     """
 
     log_error: Annotated[float, Bounds()]
@@ -78,10 +78,10 @@ class QualityModel(Checked):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse what would not be monotone or not be a model.
+        """Check that the model is valid and monotone.
 
         Raises:
-            InvalidConfigError: with the field, its value and the limit.
+            InvalidConfigError: a field is invalid; the error names its value and limit.
         """
         super().__post_init__()
         unknown = set(self.weights) - set(EVIDENCE_NAMES)
@@ -94,7 +94,7 @@ class QualityModel(Checked):
                 raise InvalidConfigError(f"weights.{name} is {weight}; it must be 0 or more")
 
     def expected_error_m(self, evidence: LabelEvidence) -> float:
-        """The mean vertex error to expect [m]; NaN where evidence that counts is missing."""
+        """Return the expected mean vertex error [m]; NaN if evidence with a weight is missing."""
         terms = _terms(evidence)
         parts = [w * terms[EVIDENCE_NAMES.index(n)] for n, w in self.weights.items() if w > 0]
         return math.exp(self.log_error + sum(parts))
@@ -103,7 +103,7 @@ class QualityModel(Checked):
         """Write the model as JSON, whole or not at all.
 
         Raises:
-            StorageError: when the disk refuses.
+            StorageError: the disk refuses.
         """
         document = {
             "format": FORMAT,
@@ -117,10 +117,10 @@ class QualityModel(Checked):
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> "QualityModel":
-        """Read a model that `save` has written; without a path, the one of this package.
+        """Read a model that `save` wrote; by default the shipped one.
 
         Raises:
-            InvalidResultError: the file is missing or is something else.
+            InvalidResultError: the file is missing or is not a model.
         """
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
@@ -140,20 +140,20 @@ class QualityModel(Checked):
 
 
 FAR_M = 0.015
-"""Misfit of a patch of cloth (`local_misfit`) [m] from which on it is misplaced."""
+"""Misfit of a patch of cloth (`local_misfit`) [m] above which it is misplaced."""
 
 _FEWEST_FRAMES_AFTER = 3
-"""Cloth that was let go may settle for a frame or two."""
+"""Least number of frames after an action; released cloth settles for a frame or two."""
 
 
 @dataclass(frozen=True)
 class Misplaced:
-    """The part of the cloth that lies away from what was seen.
+    """The part of the mesh that contradicts the observation.
 
     Attributes:
-        share: of the vertices, 0 to 1.
-        far_m: misfit [m] that 90 % of them stay under; 0 without any.
-        place: where in the picture, such as "at the left".
+        share: share of the vertices, 0 to 1.
+        far_m: 90th percentile of their misfit [m]; 0 if there is none.
+        place: place in the picture, such as "at the left".
     """
 
     share: float = 0.0
@@ -162,7 +162,7 @@ class Misplaced:
 
     @property
     def text(self) -> str:
-        """The part in words."""
+        """Description of the part."""
         if not self.share:
             return f"no part of the cloth is more than {1e3 * FAR_M:.0f} mm from what was seen"
         part = f"the cloth {self.place}, {100 * self.share:.0f} % of it"
@@ -171,14 +171,14 @@ class Misplaced:
 
 @dataclass(frozen=True)
 class LabelQuality:
-    """One label, judged.
+    """Quality of one label.
 
     Attributes:
         action: number of the action, from 0.
         frame: frame of the recording.
-        expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
-        evidence: what it follows from.
-        misplaced: the part of the cloth that lies away from what was seen.
+        expected_error_mm: expected mean vertex error [mm]; NaN if nothing was seen.
+        evidence: evidence from which it follows.
+        misplaced: part of the mesh that contradicts the observation.
         idle_pickers: pickers of the action that held no cloth.
     """
 
@@ -198,13 +198,13 @@ def judge_labels(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> tuple[LabelQuality, ...]:
-    """Judge every label of a tracked trajectory by what was observed.
+    """Estimate the quality of every label of a tracked trajectory from the observation.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        model: the package's own by default.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        model: quality model; the shipped one by default.
+        segmenter: segmentation of the cloth; the recording's own by default.
         device: "cpu" or "cuda:0", for visibility.
 
     Raises:
@@ -233,15 +233,16 @@ def left_behind(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> tuple[tuple[int, Misplaced], ...]:
-    """Return by which frame after each action the cloth lies elsewhere, and which part of it.
+    """Return a frame after each action, and the part of the mesh that is misplaced by then.
 
-    The mesh rests from the last frame of an action to the next action, or to the end of the film.
-    Cloth that moves meanwhile leaves it behind. An action without frames after it is left out.
+    The mesh rests from the last frame of an action to the next action, or to the end of the
+    recording. Cloth that moves meanwhile leaves the mesh behind. Actions without frames after them
+    are left out.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        segmenter: segmentation of the cloth; the recording's own by default.
         device: "cpu" or "cuda:0", for the outlines.
     """
     ends = [*(action.first_frame for action in tracked.actions), len(recording.frames) - 1][1:]
@@ -254,7 +255,7 @@ def left_behind(
                 tracked.mesh, label.vertices, recording, end, segmenter=segmenter, device=device
             )
         except ClothTrackError:
-            continue  # The cloth is not found there: nothing can be said.
+            continue  # The cloth is not found there, so nothing can be measured.
         found.append((end, _misplaced(label.vertices, misfit, recording)))
     return tuple(found)
 
@@ -280,7 +281,7 @@ def _idle_pickers(tracked: TrackedTrajectory, recording: Recording, action: int)
 
 @cache
 def shipped_model() -> QualityModel:
-    """The model that comes with the package."""
+    """Return the model that comes with the package."""
     return QualityModel.load()
 
 
@@ -291,13 +292,13 @@ def fit_quality(
     shrinkage: float = SHRINKAGE,
     provenance: Mapping[str, Any] | None = None,
 ) -> QualityModel:
-    """Non-negative ridge regression of the logarithm of the error.
+    """Fit the model by non-negative ridge regression of the logarithm of the error.
 
-    The evidence is scaled to unit deviation first, so that `shrinkage` treats all alike. Labels
-    with missing evidence are left out.
+    The evidence is first scaled to unit deviation, so that `shrinkage` treats all pieces alike.
+    Labels with missing evidence are left out.
 
     Args:
-        evidence: one per label.
+        evidence: evidence of each label.
         errors_m: their true mean vertex errors [m].
         shrinkage: weight of the squared coefficients against the mean squared residual.
         provenance: stored with the model.
@@ -328,6 +329,6 @@ def fit_quality(
 
 
 def _terms(evidence: LabelEvidence) -> list[float]:
-    """ln(1 + evidence / scale) for each piece, in the order of EVIDENCE_NAMES."""
+    """Return ln(1 + evidence / scale) for each piece, in the order of EVIDENCE_NAMES."""
     values = evidence.as_dict()
     return [math.log1p(values[name] / SCALES[name]) for name in EVIDENCE_NAMES]

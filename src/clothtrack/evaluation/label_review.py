@@ -1,8 +1,8 @@
-"""What a person decided about each label: accepted, rejected, or still open.
+"""A person's decisions about labels: accepted, rejected, or still open.
 
-The decisions lie in NAME.review.json beside NAME.zarr, so that the tracked trajectory itself stays
-as the tracker left it. Each is tied to the very mesh that was looked at: after tracking again, old
-decisions are refused rather than taken for decisions about the new meshes.
+The decisions are stored in NAME.review.json beside NAME.zarr, so that the tracked trajectory stays
+unchanged. Each decision includes a hash of the reviewed mesh: after tracking again, old decisions
+are refused instead of being applied to the new meshes.
 """
 
 import hashlib
@@ -28,13 +28,12 @@ Verdict = Literal["accepted", "rejected", "open"]
 
 @dataclass(frozen=True)
 class ReviewedLabel:
-    """One label and what was decided about it.
+    """A label and the decision about it.
 
     Attributes:
         action: number of the action, from 0.
         frame: frame of the recording.
-        mesh: the first 16 hexadecimal digits of the SHA-256 of its vertices (float32, little
-            endian).
+        mesh: first 16 hexadecimal digits of the SHA-256 of its vertices (float32, little endian).
         verdict: accepted, rejected, or open.
     """
 
@@ -49,8 +48,8 @@ class LabelReview:
     """The decisions about one tracked trajectory.
 
     Attributes:
-        name: of the trajectory.
-        labels: one per action.
+        name: name of the trajectory.
+        labels: reviewed labels, one per action.
     """
 
     name: str
@@ -58,7 +57,7 @@ class LabelReview:
 
     @classmethod
     def blank(cls, tracked: TrackedTrajectory) -> "LabelReview":
-        """Nothing decided yet."""
+        """Return a review in which all labels are open."""
         labels = (
             ReviewedLabel(number, int(label.frame), _digest(label.vertices))
             for number, label in enumerate(labels_of(tracked))
@@ -71,7 +70,7 @@ class LabelReview:
         return frozenset(label.action for label in self.labels if label.verdict == "rejected")
 
     def decided(self, action: int, verdict: Verdict) -> "LabelReview":
-        """The same review with one decision more, or another one."""
+        """Return a copy of the review with a new decision about an action."""
         labels = tuple(
             replace(label, verdict=verdict) if label.action == action else label
             for label in self.labels
@@ -79,7 +78,7 @@ class LabelReview:
         return replace(self, labels=labels)
 
     def as_document(self) -> dict[str, Any]:
-        """What the file holds."""
+        """Return the content of the file."""
         return {
             "format": FORMAT,
             "version": FORMAT_VERSION,
@@ -91,7 +90,7 @@ class LabelReview:
         """Write the review as JSON, whole or not at all.
 
         Raises:
-            StorageError: when the disk refuses; what was there before is untouched then.
+            StorageError: the disk refuses; the previous file is then unchanged.
         """
         with atomic_file(path) as temporary:
             text = json.dumps(self.as_document(), indent=2)
@@ -99,12 +98,12 @@ class LabelReview:
 
 
 def review_path(tracked: Path) -> Path:
-    """Where the review of a tracked trajectory lies: NAME.review.json beside NAME.zarr."""
+    """Return the path of a trajectory's review, NAME.review.json beside NAME.zarr."""
     return tracked.with_name(tracked.name.removesuffix(".zarr") + REVIEW_SUFFIX)
 
 
 def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
-    """The review that lies at `path`, or a blank one where there is no such file.
+    """Return the review at `path`, or a blank one if there is no such file.
 
     Raises:
         InvalidResultError: the file is damaged, of another version, or about other meshes.
@@ -138,7 +137,7 @@ def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
 
 
 def _key(label: Mapping[str, Any]) -> tuple[int, int, str]:
-    """What a decision is about."""
+    """Return the key that identifies a reviewed label."""
     return label["action"], label["frame"], label["mesh"]
 
 

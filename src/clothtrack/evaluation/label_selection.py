@@ -1,4 +1,4 @@
-"""Which tracked meshes become labels."""
+"""Selection of the tracked meshes that become labels."""
 
 import logging
 import math
@@ -17,12 +17,12 @@ logger = logging.getLogger(__name__)
 def pseudo_labels_of(
     tracked: TrackedTrajectory, judged: Sequence[LabelQuality], rejected: Collection[int]
 ) -> "list[PseudoLabel]":
-    """Return the first frame and the end of every action that can be judged and is not rejected.
+    """Return the first frame and the end of every action that has a quality and is not rejected.
 
     Args:
-        tracked: what the tracker left.
-        judged: its labels, judged.
-        rejected: actions whose labels were rejected in a review, from 0.
+        tracked: the tracked trajectory.
+        judged: qualities of its labels.
+        rejected: numbers of the actions whose labels were rejected in a review, from 0.
     """
     from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
 

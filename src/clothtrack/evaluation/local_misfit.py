@@ -1,8 +1,8 @@
-"""Where a mesh contradicts what was seen: a distance for every vertex, without the truth.
+"""Local misfit between a mesh and the observation, as a distance per vertex, without the truth.
 
-Means over a mesh hide a lost flap: 20 mm on 15 % of the cloth is 3 mm on the whole. Three measures
-are taken where they occur: cloth seen outside the outline of the mesh, mesh outside the outline of
-the cloth, and the distance between the seen surface and its points.
+A mean over the mesh hides a lost flap: 20 mm on 15 % of the cloth is 3 mm on average. Three
+measures are therefore local: observed cloth outside the outline of the mesh, mesh outside the
+outline of the cloth, and the distance between the visible surface and its points.
 """
 
 from dataclasses import dataclass
@@ -18,29 +18,29 @@ from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.point_cloud import Observation
 
 _PIXELS_OF_NOISE = 1.5
-"""Outlines that differ by less [pixels] agree: masks and z-buffers are rounded to pixels."""
+"""Tolerated difference of outlines [pixels], since masks and z-buffers are rounded to pixels."""
 
 _PATCH_M = 0.04
-"""Radius of the patch of flat cloth around a vertex whose misfit it shares [m]: a flap that is
-shifted shows it at its rim alone."""
+"""Radius of the patch of flat cloth over which a vertex collects misfits [m]. A shifted flap shows
+a misfit only at its rim."""
 
 _PATCH_QUANTILE = 80.0
-"""Percentile of the misfits in a patch that its middle shares; a higher one lets a single vertex
-decide."""
+"""Percentile of the misfits in a patch assigned to its center; with a higher one, a single vertex
+could decide."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocalMisfit:
-    """How far a mesh is from what was seen, at each vertex.
+    """Misfit between a mesh and the observation at each vertex.
 
     Attributes:
-        uncovered_m: distance [m] from the mesh's outline of the cloth that is seen outside of it
-            beside the vertex; 0 without any.
-        unsupported_m: distance [m] from the cloth's outline of the part of the mesh at the vertex
-            that lies outside of it; 0 without any.
-        surface_m: mean distance [m] of the points next to the vertex from the surface; NaN where
-            there is none.
-        patch_m: the misfit of the patch around the vertex [m].
+        uncovered_m: largest distance [m] from the mesh's outline to observed cloth outside it, for
+            which the vertex is the nearest; 0 if there is none.
+        unsupported_m: largest distance [m] from the cloth's outline to the mesh outside it, over
+            triangles at the vertex; 0 if there is none.
+        surface_m: mean distance [m] from the surface to the cloud points nearest to the vertex; NaN
+            if there is none.
+        patch_m: misfit of the patch around the vertex [m].
     """
 
     uncovered_m: Float[np.ndarray, " vertices"]
@@ -58,12 +58,12 @@ def local_misfit(
     *,
     device: str = "cpu",
 ) -> LocalMisfit:
-    """Return how far a mesh is from what was seen, at each vertex.
+    """Compute the misfit between a mesh and the observation at each vertex.
 
     Args:
         mesh: the topology and the flat cloth.
-        vertices: where its vertices are [m].
-        observation: the cloud, as dense as it is, and where the cameras were blind.
+        vertices: positions of its vertices [m].
+        observation: the dense cloud, with the unobservable regions.
         cloud: the same cloud thinned [m].
         away_m: distance of each of its points from the surface of the mesh [m].
         device: "cpu" or "cuda:0", for the outlines.
@@ -75,7 +75,7 @@ def local_misfit(
         hidden = observation.hidden.get(camera.name, np.zeros(faces.shape, bool))
         cloth = cloud_picture(observation.points, camera)
         pixel_m = float(np.median(camera.project(observation.points)[1])) / camera.fx
-        # A pixel that could not have been seen ends no outline.
+        # Unobservable pixels are not part of an outline.
         rows, columns, away = _outside(cloth & ~hidden, (faces >= 0) | hidden)
         if len(away) and (faces >= 0).any():
             seen = np.unique(mesh.faces[np.unique(faces[faces >= 0])])
@@ -94,7 +94,7 @@ def local_misfit(
 def _outside(
     shape: Bool[np.ndarray, "height width"], other: Bool[np.ndarray, "height width"]
 ) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, " pixels"]]:
-    """Return the pixels of a shape outside of another: rows, columns, and how far [pixels]."""
+    """Return the pixels of a shape outside another: rows, columns and distances [pixels]."""
     away = cv2.distanceTransform((~other).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     rows, columns = np.nonzero(shape & (away > _PIXELS_OF_NOISE))
     return rows, columns, away[rows, columns].astype(np.float64)
@@ -105,7 +105,7 @@ def _beside(
     cloud: Float[np.ndarray, "points 3"],
     away_m: Float[np.ndarray, " points"],
 ) -> Float[np.ndarray, " vertices"]:
-    """Return the mean over the points next to each vertex [m]; NaN where there is none."""
+    """Return the mean over the points nearest to each vertex [m]; NaN if there is none."""
     if not len(cloud):
         return np.full(len(vertices), np.nan)
     owner = cKDTree(vertices).query(cloud)[1]

@@ -1,7 +1,7 @@
-"""The measures: how far the mesh is from what was seen, from the truth, and from being cloth.
+"""Measures of a mesh against the observation, against the truth, and as a cloth.
 
-A Chamfer distance alone never ranks methods: it hardly follows the true error. It is always shown
-with its floor (what the truth itself would score), edge strain and crossings.
+A Chamfer distance alone must not rank methods because it hardly follows the true error. It is
+always shown with its floor (the score of the truth itself), edge strain and crossings.
 """
 
 from dataclasses import asdict, dataclass
@@ -20,7 +20,7 @@ CLOSE_PAIR_M = 0.005
 """Non-adjacent vertices nearer than this [m] count as a close pair (paper, Sec. IV)."""
 
 _BELOW_TABLE_M = 0.003
-"""A vertex lies below the table when it is this far [m] under its resting height."""
+"""Distance under its resting height [m] from which a vertex lies below the table."""
 
 SURFACE_SAMPLES = 40_000
 """Area-uniform samples of each surface in `chamfer_surface`."""
@@ -28,14 +28,14 @@ SURFACE_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Distances of vertices to their true places [mm].
+    """Summary of the distances of vertices to their true positions [mm].
 
     Attributes:
         mean: arithmetic mean [mm].
-        median: half of the vertices are nearer [mm].
-        p95: 95 % of the vertices are nearer [mm].
-        max: the worst vertex [mm].
-        count: how many vertices.
+        median: median [mm].
+        p95: 95th percentile [mm].
+        max: maximum [mm].
+        count: number of vertices.
     """
 
     mean: float
@@ -46,7 +46,7 @@ class ErrorSummary:
 
     @classmethod
     def of(cls, errors_mm: Float[np.ndarray, " vertices"]) -> "ErrorSummary":
-        """Summarise distances [mm]; NaN when there is no vertex."""
+        """Summarize distances [mm]; NaN if there is no vertex."""
         if len(errors_mm) == 0:
             return cls(np.nan, np.nan, np.nan, np.nan, 0)
         return cls(
@@ -60,7 +60,7 @@ class ErrorSummary:
 
 @dataclass(frozen=True)
 class ClothMeasures:
-    """Whether a mesh can be a cloth at all, and what it covers; needs no truth.
+    """Measures of whether a mesh is a possible cloth, and its coverage; they need no truth.
 
     Attributes:
         edge_strain: mean absolute relative change of edge length against the flat rest state.
@@ -78,7 +78,7 @@ class ClothMeasures:
     coverage: float
 
     def as_dict(self) -> dict[str, float]:
-        """The measures by name."""
+        """Return the measures by name."""
         return asdict(self)
 
 
@@ -87,10 +87,10 @@ def chamfer_pc(
     seen: Bool[np.ndarray, " vertices"],
     cloud: Float[np.ndarray, "points 3"],
 ) -> float:
-    """Visible vertices against the observed cloud [m^2]: both directions, summed.
+    """Return the two-way Chamfer distance of visible vertices and observed cloud [m^2].
 
-    Each direction is the mean squared distance to the nearest neighbor, which is the unit that
-    the paper's "1e-4 m" must have. NaN when nothing is seen or observed.
+    Both directions are summed. Each is the mean squared distance to the nearest neighbor, which is
+    the unit that the paper's "1e-4 m" must have. NaN if nothing is visible or observed.
     """
     if not seen.any() or len(cloud) == 0:
         return float("nan")
@@ -98,7 +98,7 @@ def chamfer_pc(
 
 
 def root_mean_square_mm(chamfer_m2: float) -> float:
-    """A two-way Chamfer distance [m^2] as the root mean square of one direction [mm]."""
+    """Convert a two-way Chamfer distance [m^2] to the root mean square of one direction [mm]."""
     return 1e3 * float(np.sqrt(0.5 * chamfer_m2))
 
 
@@ -109,14 +109,14 @@ def chamfer_surface(
     samples: int = SURFACE_SAMPLES,
     seed: int = 0,
 ) -> float:
-    """Two whole surfaces, hidden layers included, against each other [m^2], both directions."""
+    """Return the two-way Chamfer distance [m^2] of whole surfaces, hidden layers included."""
     return two_way(
         sample_surface(*mesh, samples, seed), sample_surface(*measured, samples, seed + 1)
     )
 
 
 def cloud_floor(cloud: Float[np.ndarray, "points 3"], seed: int = 0) -> float:
-    """Two random halves of one cloud against each other [m^2]: what sampling alone costs."""
+    """Return the Chamfer distance [m^2] of two random halves of a cloud, due to sampling alone."""
     if len(cloud) < 2:
         return float("nan")
     order = np.random.default_rng(seed).permutation(len(cloud))
@@ -129,13 +129,13 @@ def vertex_error_mm(
     true_points: Float[np.ndarray, "vertices 3"],
     truly_visible: Bool[np.ndarray, " vertices"],
 ) -> dict[str, ErrorSummary]:
-    """Each tracked vertex against the same material point of the truth [mm].
+    """Summarize the distances of tracked vertices to their true material points [mm].
 
     Args:
         vertices: tracked vertices in the world [m].
-        true_points: where the same pieces of cloth really are [m].
-        truly_visible: whether a camera sees the piece of cloth in truth. It is decided on the
-            truth, so that every method is judged on the same two sets.
+        true_points: true positions of the same material points [m].
+        truly_visible: whether a camera sees the material point. It is computed from the truth so
+            that every method is evaluated on the same two sets.
 
     Returns:
         Summaries for "all", "visible" and "hidden".
@@ -155,13 +155,13 @@ def cloth_measures(
     *,
     rest_height_m: float,
 ) -> ClothMeasures:
-    """Strain, self-intersection, table and coverage of one mesh.
+    """Compute strain, self-intersection, table and coverage measures of one mesh.
 
     Args:
         rest: the flat first mesh, whose edges are the rest lengths.
-        vertices: vertices to judge, in the world [m].
-        table: the table, or None when the cloth hangs; coverage is then seen along z.
-        rest_height_m: height of the middle of a cloth that lies on the table [m].
+        vertices: vertices to measure, in the world [m].
+        table: the table, or None if the cloth hangs; coverage is then seen along z.
+        rest_height_m: height of the mid-surface of a cloth that lies on the table [m].
     """
     normal = (0.0, 0.0, 1.0) if table is None else tuple(float(n) for n in table.normal)
     return ClothMeasures(
@@ -176,7 +176,7 @@ def cloth_measures(
 def below_table(
     vertices: Float[np.ndarray, "vertices 3"], table: Table | None, rest_height_m: float
 ) -> float:
-    """Share of vertices more than 3 mm under their resting height; NaN without a table."""
+    """Return the share of vertices over 3 mm under resting height; NaN without a table."""
     if table is None:
         return float("nan")
     return float((table.heights(vertices) < rest_height_m - _BELOW_TABLE_M).mean())

@@ -1,8 +1,9 @@
-"""Which piece of the true cloth each tracked vertex is, where corners were named by a guess.
+"""Correspondence between tracked vertices and the true cloth, up to the symmetries of a towel.
 
-A towel without marks can be named in four ways, a square one in eight, and no camera tells them
-apart. A template names its vertices as the truth does. A mesh that was fitted without one is named
-by how it lies in the world; its vertices then have other names than the truth's, and none is wrong.
+An unmarked towel has four symmetries, a square one eight, and no camera distinguishes them. A
+template has the same correspondence as the truth. A mesh fitted without one takes its canonical
+coordinates from its pose in the world; they may differ from the truth's by a symmetry without
+being wrong.
 """
 
 from collections.abc import Sequence
@@ -14,24 +15,24 @@ from clothtrack.evaluation.truth import Truth, material_map, material_points
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 NEARLY_SQUARE = 0.1
-"""Sides that differ by less than this share do not tell which of them is longer."""
+"""Relative difference of the sides below which the longer side is ambiguous."""
 
 FLAT = 1e-6
-"""A canonical pose with less height than this [m] is one layer."""
+"""Height of the canonical pose [m] up to which the garment has one layer."""
 
 Where = tuple[Int[np.ndarray, " vertices"], Float[np.ndarray, "vertices 3"]]
 """True face of each vertex, and barycentric coordinates in it."""
 
 
 def true_places(tracked: TrackedTrajectory, truth: Truth) -> Where | None:
-    """Where each tracked vertex lies on the true mesh; None when one has no canonical coordinates.
+    """Return the place of each tracked vertex on the true mesh; None without canonical coordinates.
 
-    By its own names where these come from the recording's template, and of a garment of two layers,
-    whose front is known. Otherwise by that look-alike naming which is nearest to the truth at the
-    first frame that is known of both; one naming for all frames.
+    The tracked canonical coordinates are used unchanged if they come from the recording's template,
+    or if the garment has two layers, whose front is known. Otherwise the symmetry that is nearest
+    to the truth at the first common frame is applied to all frames.
 
     Args:
-        tracked: the result.
+        tracked: the tracked trajectory.
         truth: the true meshes.
     """
     if truth.canonical is None or tracked.mesh.canonical is None:
@@ -66,7 +67,7 @@ def _gap_m(
 def _look_alikes(
     canonical: Float[np.ndarray, "vertices 3"], true_canonical: Float[np.ndarray, "true_vertices 3"]
 ) -> Sequence[Float[np.ndarray, "vertices 3"]]:
-    """The flat coordinates under every other name, laid about the middle of the truth's."""
+    """Return the flat coordinates under all symmetries, centered on the true ones."""
     flat = canonical - _middle(canonical)
     turned = flat[:, [1, 0, 2]]
     own, true = (np.ptp(one, axis=0)[:2] for one in (canonical, true_canonical))

@@ -1,4 +1,4 @@
-"""Where a part of the cloth lies, in words that a person at the picture understands."""
+"""Description of where a part of the cloth lies in the picture."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from clothtrack.geometry.camera import Camera
 
 MIDDLE = 0.25
-"""Nearer to the middle of the cloth than this share of its half extent, a part has no side."""
+"""Offset from the middle of the cloth, over its half extent, up to which a part has no side."""
 
 
 def place_of(
@@ -19,9 +19,9 @@ def place_of(
     """Return where a part of the cloth lies in the first camera's picture, such as "at the left".
 
     Args:
-        vertices: of the whole cloth [m, world].
-        part: which of them, at least one.
-        cameras: the first one's picture counts; without any, the world seen from above.
+        vertices: vertices of the whole cloth [m, world].
+        part: mask of the part, with at least one vertex.
+        cameras: cameras, of which the first is used; without any, the view from above.
     """
     points = np.asarray(vertices, np.float64)
     whole = cameras[0].project(points)[0] if cameras else points[:, :2] * (1, -1)

@@ -1,4 +1,4 @@
-"""Rows of measures, one per action and stage, with all that is needed to make them again."""
+"""Rows of measures, one per action and stage, with the provenance to reproduce them."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -39,9 +39,9 @@ STAGES: tuple[Stage, ...] = ("before_final_alignment", "after_final_alignment")
 
 @dataclass(frozen=True)
 class Row:
-    """One mesh, measured: the last frame of one action, before or after the final alignment.
+    """Measures of the mesh at the end of an action, before or after the final alignment.
 
-    The paper measures before. What is handed on, and becomes a pseudo-label, is the mesh after.
+    The paper measures before. The mesh after it starts the next action and becomes a pseudo-label.
 
     Attributes:
         recording: name of the recording.
@@ -54,7 +54,7 @@ class Row:
         chamfer_floor: the same for the truth, or between two halves of the cloud [m^2].
         floor_of: "truth" or "cloud halves".
         chamfer_surface: whole surface against the true one [m^2]; NaN without truth.
-        vertex_error_mm: "all", "visible", "hidden" against the truth; empty without truth.
+        vertex_error_mm: errors of "all", "visible", "hidden" vertices; empty without truth.
         cloth: measures that need no truth.
     """
 
@@ -78,10 +78,10 @@ class Evaluation:
 
     Attributes:
         name: name of the recording.
-        rows: per action, before and after the final alignment.
-        labels: per action, how good its mesh after the final alignment is as far as one can
-            observe; the truth has no part in it.
-        provenance: of the tracking run: commit, configuration hash, versions, seed, device.
+        rows: measures per action, before and after the final alignment.
+        labels: quality of the mesh after the final alignment, per action; estimated from the
+            observation without the truth.
+        provenance: commit, configuration hash, versions, seed and device of the tracking run.
     """
 
     name: str
@@ -90,13 +90,13 @@ class Evaluation:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """One line for each action, for a person."""
+        """Return a readable summary, one line per action."""
         return summary([self])
 
 
 @dataclass(frozen=True, eq=False)
 class _Reference:
-    """What the mesh at one frame is measured against."""
+    """Reference data for the mesh at one frame."""
 
     observation: Observation
     floor: float
@@ -118,15 +118,15 @@ def evaluate(
     """Measure a tracked trajectory at the end of each action.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        truth: the true meshes, where somebody knows them.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        truth: the true meshes, if they are known.
+        segmenter: segmentation of the cloth; the recording's own by default.
         device: "cpu" or "cuda:0", for visibility.
-        seed: of surface samples and cloud halves.
+        seed: seed of surface samples and cloud halves.
 
     Raises:
-        InvalidResultError: when trajectory, recording and truth do not belong together.
+        InvalidResultError: trajectory, recording and truth do not belong together.
     """
     if tracked.actions and tracked.actions[-1].last_frame >= len(recording.frames):
         raise InvalidResultError(
@@ -155,21 +155,21 @@ def observed_chamfer(
     seen: Bool[np.ndarray, " vertices"],
     observation: Observation,
 ) -> float:
-    """Visible vertices against what was observed [m^2], both directions, summed.
+    """Return the two-way Chamfer distance of visible vertices and observation [m^2].
 
-    A vertex where nothing could be measured (`Observation.unobservable`) is left out: that the
-    cloud has no point beside it is not its fault. NaN when nothing is seen or observed.
+    Vertices in unobservable regions (`Observation.unobservable`) are left out because a missing
+    cloud point says nothing about them. NaN if nothing is visible or observed.
 
     Args:
-        vertices: of the mesh, in the world [m].
+        vertices: vertices of the mesh, in the world [m].
         seen: whether a camera sees the vertex.
-        observation: of the same frame.
+        observation: observation of the same frame.
     """
     return chamfer_pc(vertices, seen & ~observation.unobservable(vertices), observation.points)
 
 
 def method_name(config: Mapping[str, Any]) -> str:
-    """Return the named mode whose settings a stored run has, but for seed and first mesh."""
+    """Return the named mode that matches a stored run, except for seed and first mesh."""
 
     def method(settings: Mapping[str, Any]) -> str:
         own = {key: settings.get(key) for key in ("mode", "color", "cloth", "search", "objective")}
@@ -245,18 +245,18 @@ def _row(
 
 
 def _rest_height_m(config: Mapping[str, Any]) -> float:
-    """Height at which the middle of the tracked cloth rests [m]: half its thickness."""
+    """Return the resting height of the tracked mid-surface [m], half the thickness."""
     solver = config.get("tracker", {}).get("solver", {})
     return 0.5 * float(solver.get("thickness_m", SolverConfig().thickness_m))
 
 
 def as_json(evaluations: Sequence[Evaluation]) -> str:
-    """All rows, verdicts and their provenance as JSON; NaN becomes null."""
+    """Return all rows, verdicts and their provenance as JSON; NaN becomes null."""
     return json.dumps([as_plain(one) for one in evaluations], indent=2, allow_nan=False)
 
 
 def as_plain(evaluation: Evaluation) -> dict[str, Any]:
-    """An evaluation as JSON holds it, with a verdict on every label."""
+    """Return an evaluation as plain JSON values, with a verdict on every label."""
     verdicts = [{"action": one.action, **verdict(one).as_dict()} for one in evaluation.labels]
     numbers = tuple(
         replace(one, evidence=replace(one.evidence, misfit=None)) for one in evaluation.labels
@@ -265,10 +265,10 @@ def as_plain(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def from_plain(document: Mapping[str, Any]) -> Evaluation:
-    """The evaluation that `as_plain` has written.
+    """Return the evaluation that `as_plain` wrote.
 
     Raises:
-        KeyError, TypeError: it is something else.
+        KeyError, TypeError: the document is not an evaluation.
     """
 
     def numbers(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -296,7 +296,7 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
 
 
 def summary(evaluations: Iterable[Evaluation]) -> str:
-    """One line for each action, in 80 columns: what to do with its label, and why."""
+    """Return one line per action, in 80 columns, with the verdict on its label and the reason."""
     lines = [
         f"{'recording':24} {'action':>6} {'distance':>9} {'floor':>6} {'expected':>9} {'true':>6}"
         "  verdict"
@@ -325,7 +325,7 @@ def summary(evaluations: Iterable[Evaluation]) -> str:
 
 
 EXCHANGED_MM, EXCHANGED_TIMES = 50.0, 10.0
-"""A true error above both, in mm and in expected errors, is hardly one of tracking."""
+"""A true error above both limits, in mm and in expected errors, is hardly a tracking error."""
 
 _EXCHANGED = (
     "the true error is many times the expected one: corners or sides may have other names "
@@ -344,7 +344,7 @@ def _or_dash(value: float) -> str:
 
 
 def table(evaluations: Iterable[Evaluation]) -> str:
-    """The rows as text, one line per action and stage, and what the columns mean."""
+    """Return the rows as text, one line per action and stage, with a legend."""
     lines = [_HEADER]
     for evaluation in evaluations:
         judged = {one.action: one for one in evaluation.labels}
@@ -387,7 +387,7 @@ def _percent(share: float) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The same with nothing that JSON lacks: NaN and infinity become null."""
+    """Return the value as plain JSON values; NaN and infinity become null."""
     if isinstance(value, Mapping):
         return {str(key): _plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""What really happened to the cloth, where somebody knows it; only evaluation reads it."""
+"""True states of the cloth, if known; only evaluation reads them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ class Truth:
     Attributes:
         positions: true vertices in the world [m], per frame.
         faces: vertex indices per triangle.
-        frames: which frames of the recording these are.
-        canonical: canonical coordinates of the true vertices [m]; None when only the surface was
-            measured, and then no vertex error can be told.
+        frames: frame numbers in the recording.
+        canonical: canonical coordinates of the true vertices [m]; None if only the surface was
+            measured, so that no vertex error can be computed.
     """
 
     positions: Float[np.ndarray, "frames vertices 3"]
@@ -29,23 +29,23 @@ class Truth:
     canonical: Float[np.ndarray, "vertices 3"] | None = None
 
     def __repr__(self) -> str:
-        """One line, without the positions."""
+        """Return one line, without the positions."""
         frames, vertices = self.positions.shape[:2]
         return f"Truth({frames} frames, {vertices} vertices)"
 
     @classmethod
     def load(cls, path: Path | str) -> "Truth":
-        """Read `positions`, `faces`, `frames` and, when there, `canonical` from an NPZ file.
+        """Read `positions`, `faces`, `frames` and the optional `canonical` from an NPZ file.
 
         Raises:
-            InvalidResultError: naming the file and the array that is missing or misshapen.
+            InvalidResultError: an array is missing or misshapen; the error names file and array.
         """
         path = Path(path)
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
         except Exception as error:
-            # NumPy, zipfile and zlib refuse a damaged file with a dozen kinds of exception.
+            # NumPy, zipfile and zlib raise a dozen kinds of exception for a damaged file.
             raise InvalidResultError(
                 f"{path}: cannot be read as a truth file ({error}); give the NPZ file that "
                 "`clothtrack simulate` wrote beside the recordings"
@@ -60,7 +60,7 @@ class Truth:
         )
 
     def at(self, frame: int) -> Float[np.ndarray, "vertices 3"] | None:
-        """True vertices [m] at a frame of the recording; None when that frame is not known."""
+        """Return the true vertices [m] at a frame of the recording; None if it is unknown."""
         places = np.flatnonzero(self.frames == frame)
         return None if len(places) == 0 else self.positions[places[0]]
 
@@ -70,10 +70,10 @@ def material_map(
     truth_faces: Int[np.ndarray, "true_faces 3"],
     canonical: Float[np.ndarray, "vertices 3"],
 ) -> tuple[Int[np.ndarray, " vertices"], Float[np.ndarray, "vertices 3"]]:
-    """Where each vertex of one mesh lies on another mesh of the same garment.
+    """Return the place of each vertex of a mesh on the true mesh of the same garment.
 
-    Canonical coordinates name material points whatever the triangulation, so the closest point on
-    the true mesh in canonical space is the same piece of cloth.
+    Canonical coordinates identify material points for any triangulation. Therefore the closest
+    point on the true mesh in canonical space is the same material point.
 
     Returns:
         The true face, and the barycentric coordinates in it.
@@ -86,7 +86,7 @@ def material_points(
     faces: Int[np.ndarray, "true_faces 3"],
     where: tuple[Int[np.ndarray, " vertices"], Float[np.ndarray, "vertices 3"]],
 ) -> Float[np.ndarray, "vertices 3"]:
-    """World positions [m] of the material points that `material_map` found."""
+    """Return the world positions [m] of the material points that `material_map` found."""
     face, weights = where
     return interpolate(weights, positions[faces[face]])
 

@@ -1,7 +1,7 @@
-"""One word about a label, a trajectory or the mesh of a picture: trust, look or reject, and why.
+"""Verdicts on labels, trajectories and the mesh of a picture: trust, look or reject, and why.
 
-The one place that decides. It knows what was observed, and no truth. All evidence has a name, a
-measure and a limit (`LIMITS`); what the checks of the recording find is evidence, too.
+Only this module decides. It uses observations and no truth. All evidence has a name, a measure and
+a limit (`LIMITS`); the findings of the recording's checks are evidence, too.
 """
 
 import math
@@ -32,14 +32,14 @@ WORDS: tuple[Word, ...] = get_args(Word)
 
 @dataclass(frozen=True)
 class Limit:
-    """Up to where a measure speaks against nothing.
+    """Limits of a measure.
 
     Attributes:
-        unit: of the measure: "m" or "" for a plain number.
-        look: above it, look at the label first.
-        reject: above it, do not use the label.
-        remedy: the command that helps; NAME.zarr and RECORDING stand for the files.
-        named: whether a reason names the limit: in mm, plain numbers in percent.
+        unit: unit of the measure: "m", or "" for a plain number.
+        look: value above which the label must be looked at first.
+        reject: value above which the label must not be used.
+        remedy: command that helps; NAME.zarr and RECORDING stand for the files.
+        named: whether the reason includes the limit, in mm, or in percent for plain numbers.
     """
 
     unit: str
@@ -53,47 +53,46 @@ _OTHER_GARMENT = "give the garment's --size or --template"
 _OTHER_PICTURE = "spread the cloth a little, and take another picture"
 
 LIMITS: Mapping[str, Limit] = {
-    # On the benchmark the true error differs from the expected one by a factor of 1.18, so that
-    # it stays under 10 mm at 8: within that reach a pick finds the cloth that it is meant for
-    # (`tracking.picking`). The model was fitted on errors up to 12.3 mm; beyond 16 it only knows
-    # that the error is larger.
+    # On the benchmark the true error differs from the expected one by a factor of 1.18. At 8 mm it
+    # stays under 10 mm, within which a pick finds the intended cloth (`tracking.picking`). The
+    # model was fitted on errors up to 12.3 mm; beyond 16 it only knows that the error is larger.
     "expected error": Limit("m", 0.008, 0.016, named=True),
-    # A mesh that is torn to its cloud has the right outline. Nine of ten labels of the benchmark
-    # stay below 0.018 (docs/label_quality.md).
+    # A mesh that is stretched to fit its cloud has the right outline. Nine of ten labels of the
+    # benchmark stay below 0.018 (docs/label_quality.md).
     "stretched edges": Limit("", 0.1),
     # Share of the cloth (`label_quality.Misplaced`).
     "misplaced part": Limit("", 0.02, 0.5),
-    # The same share, of what moves after an action while the mesh rests.
+    # The same share, for cloth that moves after an action while the mesh rests.
     "left behind": Limit("", 0.04, 0.5, "add the missing action to recording.json: actions"),
     "pickers that hold nothing": Limit("", 0.0, remedy="clothtrack inspect RECORDING"),
-    # Of the mesh of one picture; chosen on simulated states of seed 77 (docs/results.md).
+    # For the mesh of one picture; chosen on simulated states of seed 77 (docs/results.md).
     # 1 - intersection over union.
     "silhouette": Limit("", 0.10, 0.25, f"{_OTHER_GARMENT}, or the cloth's --mask", named=True),
     "visible surface": Limit("m", 0.012, 0.025, _OTHER_GARMENT, named=True),
-    # Over the longer side of the garment: the network learned from garments of all sizes.
+    # Relative to the longer side, because the network learned from garments of all sizes.
     "expected error over side": Limit("", 0.06, 0.1, _OTHER_PICTURE, named=True),
     # 1 - mean confidence of the correspondences; without it 4 of 35 trusted states are wrong.
     "unsure correspondences": Limit("", 0.45, remedy=_OTHER_PICTURE, named=True),
 }
-"""The evidence that tracking and reconstruction leave. What a recording contradicts itself in is
-evidence, too (`recordings.geometry_checks`), and each such finding is above its limit."""
+"""Evidence from tracking and reconstruction. Contradictions within a recording are evidence, too
+(`recordings.geometry_checks`), and each such finding is above its limit."""
 
 _UNSEEN = {"visible surface": "no part of the mesh is visible in the picture"}
-"""What it means that a measure of the evidence is not a number, where that is something else."""
+"""Meaning of a NaN measure, where it differs from the default."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One measure of how right a mesh is.
+    """One measure of the quality of a mesh.
 
     Attributes:
         name: one of `LIMITS`, or the check of the recording that found it.
-        measured: what was measured, in `unit`; NaN where nothing was seen.
-        limit: largest value that speaks against nothing.
+        measured: measured value, in `unit`; NaN if nothing was seen.
+        limit: largest acceptable value.
         unit: "m", "deg", "s" or "" for a plain number.
-        word: what it alone deserves.
-        text: what was seen, in words.
-        remedy: what to do about it.
+        word: verdict from this evidence alone.
+        text: description of the observation.
+        remedy: action that helps.
         action: number of the action, from 0; None for the whole recording.
     """
 
@@ -109,13 +108,13 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to do with a label or with a trajectory.
+    """Verdict on a label or a trajectory.
 
     Attributes:
         word: "trust": use it; "look": look at it first; "reject": do not use it.
-        reason: what decided, in words.
-        expected_error_m: mean vertex error to expect [m]; NaN where nothing was seen.
-        evidence: everything that was measured, the worst first.
+        reason: the decisive evidence, in words.
+        expected_error_m: expected mean vertex error [m]; NaN if nothing was seen.
+        evidence: all evidence, the worst first.
     """
 
     word: Word
@@ -124,16 +123,16 @@ class Verdict:
     evidence: tuple[Evidence, ...] = ()
 
     def __str__(self) -> str:
-        """Return the verdict for a person, in one line."""
+        """Return the verdict in one readable line."""
         return f"{self.word}: {self.reason}"
 
     @property
     def remedy(self) -> str:
-        """What to do about what decided; empty where nothing speaks against the mesh."""
+        """Remedy for the decisive evidence; empty if there is none against the mesh."""
         return "" if self.word == "trust" or not self.evidence else self.evidence[0].remedy
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the verdict as JSON holds it: what is not known is None."""
+        """Return the verdict as plain JSON values; unknown values are None."""
         plain = asdict(self)
         plain["expected_error_m"] = _known(self.expected_error_m)
         for one in plain["evidence"]:
@@ -142,10 +141,10 @@ class Verdict:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> "Verdict":
-        """Return what `as_dict` wrote.
+        """Return the verdict that `as_dict` wrote.
 
         Raises:
-            KeyError, TypeError: it is something else.
+            KeyError, TypeError: the values are not a verdict.
         """
         evidence = tuple(
             Evidence(**one | {name: _or_nan(one[name]) for name in ("measured", "limit")})
@@ -160,11 +159,11 @@ def trajectory_verdict(
     findings: Iterable[Finding] = (),
     later: Iterable[tuple[int, Misplaced]] = (),
 ) -> Verdict:
-    """Return what the worst evidence about a trajectory deserves.
+    """Return the verdict on a trajectory from its worst evidence.
 
     Args:
-        labels: of all its actions, judged.
-        findings: in what its recording contradicts itself.
+        labels: qualities of the labels of all its actions.
+        findings: contradictions within its recording.
         later: frames after the actions, and the part of the cloth that left the mesh by then.
     """
     evidence = [_of_finding(finding) for finding in findings]
@@ -189,15 +188,15 @@ def judge(
     device: str = "cpu",
     frames: ObservedFrames | None = None,
 ) -> Verdict:
-    """Return what to do with a trajectory, from all evidence.
+    """Return the verdict on a trajectory from all evidence.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        labels: its labels, judged; judged here by default.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        labels: qualities of its labels; computed by default.
+        segmenter: segmentation of the cloth; the recording's own by default.
         device: "cpu" or "cuda:0", for visibility.
-        frames: of the recording, where some have been looked at already.
+        frames: observed frames of the recording, if some have been computed already.
 
     Raises:
         InvalidResultError: trajectory and recording do not belong together.
@@ -213,12 +212,12 @@ def verdict_of(
     recording: Recording,
     labels: Sequence[LabelQuality] | None = None,
 ) -> Verdict:
-    """Return the verdict that is stored with a trajectory; a new one where none is.
+    """Return the verdict that is stored with a trajectory, or compute one.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        labels: its labels, judged; judged here where they are needed.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        labels: qualities of its labels; computed if needed.
     """
     if tracked.verdict_fields:
         return Verdict.from_dict(tracked.verdict_fields)
@@ -238,7 +237,7 @@ def judged(
 
 
 def verdict(label: LabelQuality) -> Verdict:
-    """Return what to do with one label, from the evidence about it alone."""
+    """Return the verdict on one label from the evidence about it alone."""
     return _verdict(evidence_of(label), 1e-3 * label.expected_error_mm)
 
 
@@ -260,11 +259,11 @@ def evidence_of(label: LabelQuality) -> list[Evidence]:
 
 
 def picture_verdict(result: NetworkMesh, agreement: Agreement) -> Verdict:
-    """Return what to do with the mesh of one picture.
+    """Return the verdict on the mesh of one picture.
 
     Args:
-        result: what the network answered; it has a mesh.
-        agreement: of its mesh with the picture.
+        result: output of the network, with a mesh.
+        agreement: agreement of its mesh with the picture.
     """
     mesh, expected_error_m = result.mesh, result.expected_error_m
     assert mesh is not None
@@ -298,7 +297,7 @@ def picture_verdict(result: NetworkMesh, agreement: Agreement) -> Verdict:
 
 
 def _of_finding(finding: Finding) -> Evidence:
-    """Return what a check of the recording found as evidence."""
+    """Return a finding of the recording's checks as evidence."""
     return Evidence(
         finding.kind, finding.measured, finding.limit, finding.unit,
         "look" if finding.severity == "doubt" else "trust", finding.text, _remedy(finding),
@@ -306,7 +305,7 @@ def _of_finding(finding: Finding) -> Evidence:
 
 
 def _remedy(finding: Finding) -> str:
-    """Return the command that shows or corrects what a check found."""
+    """Return the command that shows or corrects a finding."""
     if finding.correction is None:
         return "clothtrack inspect RECORDING"
     return "clothtrack inspect RECORDING --suggest CORRECTED"
@@ -325,7 +324,7 @@ def _measured(name: str, measured: float, text: str) -> Evidence:
 
 
 def _verdict(evidence: Iterable[Evidence], expected_m: float, *, actions: int = 1) -> Verdict:
-    """Return the word that the worst evidence deserves, and why."""
+    """Return the verdict from the worst evidence, with the reason."""
     ranked = sorted(evidence, key=lambda one: (-WORDS.index(one.word), -_excess(one)))
     against = [one for one in ranked if one.word != "trust"]
     text = f"expected error {1e3 * expected_m:.1f} mm"
@@ -346,7 +345,7 @@ def _verdict(evidence: Iterable[Evidence], expected_m: float, *, actions: int = 
 
 
 def _bound(one: Evidence) -> str:
-    """Return the limit that decided: that of rejection where it is rejected."""
+    """Return the decisive limit in words."""
     limit = LIMITS.get(one.name)
     if limit is None or not limit.named or not math.isfinite(one.measured):
         return ""
@@ -357,7 +356,7 @@ def _bound(one: Evidence) -> str:
 
 
 def _excess(one: Evidence) -> float:
-    """Return how many times the limit was measured."""
+    """Return the measured value relative to the limit."""
     return _or_infinite(one.measured) / one.limit if one.limit > 0 else _or_infinite(one.measured)
 
 

@@ -1,9 +1,9 @@
-"""Which vertices of a label to expect wrong: where its candidates disagree, or the cloud does.
+"""Expected error per vertex, from the disagreement of the candidates and from the cloud.
 
 The search for the cloth's parameters tracks every action several times. All candidates fit the
-cloud; they differ where it does not decide, under folds above all. Their spread tells which
-vertices are wrong, the label's expected error how wrong they are on the whole, and a patch that
-lies away from what was seen is at least that far off (docs/label_quality.md).
+cloud; they differ where the cloud does not constrain them, above all under folds. Their spread
+shows which vertices are wrong, and the label's expected error how wrong they are on average. A
+patch at some distance from the observation has at least that error (docs/label_quality.md).
 """
 
 import numpy as np
@@ -13,23 +13,23 @@ from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.tracking.tracked_trajectory import TrackedAction
 
 _SPREAD_SHARE = 0.8
-"""Share of the expected error that is dealt out by the spread; the rest falls on all alike."""
+"""Share of the expected error that is distributed by the spread; the rest is uniform."""
 
 INTERVAL_FACTOR = 1.9
-"""The error of 90 % of the vertices is at most so many times what is expected of each. Fitted on
-the labels of the benchmark's split `dev` (docs/label_quality.md); nothing is taken for Gaussian."""
+"""90 % of the vertices have an error of at most this factor times their expected error. Fitted on
+the labels of the benchmark's split `dev` (docs/label_quality.md), without a Gaussian assumption."""
 
 
 def expected_vertex_errors(
     action: TrackedAction, label: LabelQuality
 ) -> Float[np.ndarray, " vertices"]:
-    """Return the error to expect of each vertex of a label [m].
+    """Return the expected error of each vertex of a label [m].
 
-    Their mean is the label's where nothing that was seen contradicts the mesh, larger elsewhere.
+    Their mean is the label's expected error, or more if the observation contradicts the mesh.
 
     Args:
-        action: with the spread of its candidates; without one, all vertices are alike.
-        label: the same action's label, judged; NaN where nothing was seen.
+        action: action with the spread of its candidates; without a spread the error is uniform.
+        label: quality of the same action's label; NaN if nothing was seen.
     """
     expected_m = 1e-3 * label.expected_error_mm
     spread_m, vertices = action.calibration.spread_m, len(action.positions_after_final_alignment)

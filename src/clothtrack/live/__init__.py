@@ -1,4 +1,4 @@
-"""The whole cloth while it moves: the steps of Algorithm 1 on a recording that grows."""
+"""Live tracking of the whole cloth: the steps of Algorithm 1 on a growing recording."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Looks at each picture in a thread of its own, while the dynamics predict."""
+"""Observation of each picture in a separate thread while the dynamics predict."""
 
 import time
 from collections.abc import Callable
@@ -11,43 +11,43 @@ from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import observer
 
 _CLOUDS_KEPT = 3
-"""Of this frame, the one before, and the one that resting cloth is compared with."""
+"""Number of cached clouds: this frame, the one before, and the reference of resting cloth."""
 
 _FOLLOWED_KEPT = 64
-"""Followed points of so many frames: the final alignment of an action asks for those of its last
-frame, a moment later."""
+"""Number of frames with cached followed points. The final alignment of an action needs those of its
+last frame a moment later."""
 
 
 class Eyes:
-    """The clouds of a live recording.
+    """Source of the clouds of a live recording.
 
     Attributes:
         spent_s: CPU time of the newest cloud [s].
     """
 
     def __init__(self) -> None:
-        """Have seen nothing; `open` says of what."""
+        """Start the thread; `open` sets the recording."""
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-eyes")
         self._looks: dict[int, Future[Observation]] = {}
         self._cloud: Callable[[Frame], Observation] | None = None
         self.spent_s = 0.0
 
     def open(self, recording: Recording, config: RunConfig, segmenter: Segmenter | None) -> None:
-        """Look at a recording, which has its first frame."""
+        """Set the recording, which has its first frame."""
         self._cloud = observer(
             recording, config.cloud_spacing_m, segmenter, color=config.color, kept=_CLOUDS_KEPT,
             followed=_FOLLOWED_KEPT,
         )  # fmt: skip
 
     def begin(self, frame: Frame) -> None:
-        """Begin to look at the newest frame."""
+        """Begin observing the newest frame."""
         self._looks = {frame.index: self._thread.submit(self._look, frame)}
 
     def observe(self, frame: Frame) -> Observation:
-        """Return the cloud of a frame; that of the newest was begun when it came.
+        """Return the cloud of a frame; for the newest, wait for the thread.
 
         Raises:
-            InvalidRecordingError: no cloth is found in it.
+            InvalidRecordingError: no cloth is found in the frame.
         """
         look = self._looks.pop(frame.index, None)
         if look is not None:

@@ -1,4 +1,4 @@
-"""Frames that are still being added: their times in memory, their pictures only for a moment."""
+"""A growing sequence of frames, with times in memory and pictures only while needed."""
 
 import os
 import tempfile
@@ -16,7 +16,7 @@ from clothtrack.recordings.recording import Frame
 
 @dataclass(frozen=True)
 class _Stored:
-    """Where a picture is in the file."""
+    """Location of a picture in the file."""
 
     offset: int
     shape: tuple[int, ...]
@@ -26,12 +26,12 @@ class _Stored:
 class GrowingFrames(Sequence[Frame]):
     """The frames of a live recording.
 
-    Pictures of the newest are in memory. Those that are to be kept go to a file without a name, and
-    are read from it whenever their frame is asked for: hours of pictures need no memory.
+    Pictures of the newest frames are in memory. Pictures to keep go to an unnamed file and are read
+    whenever their frame is accessed, so that hours of pictures need no memory.
     """
 
     def __init__(self) -> None:
-        """Begin without a frame."""
+        """Create an empty sequence."""
         self._times = array("d")
         self._shown: dict[int, Frame] = {}
         self._stored: dict[int, Mapping[str, Mapping[str, _Stored]]] = {}
@@ -39,7 +39,7 @@ class GrowingFrames(Sequence[Frame]):
         weakref.finalize(self, self._file.close)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of frames."""
         return len(self._times)
 
     @overload
@@ -49,7 +49,7 @@ class GrowingFrames(Sequence[Frame]):
     def __getitem__(self, index: slice) -> tuple[Frame, ...]: ...
 
     def __getitem__(self, index: int | slice) -> Frame | tuple[Frame, ...]:
-        """Return a frame, with its pictures where they are kept, or several."""
+        """Return one or several frames, with those pictures that were kept."""
         if isinstance(index, slice):
             return tuple(self[one] for one in range(*index.indices(len(self))))
         number = range(len(self))[index]
@@ -64,17 +64,17 @@ class GrowingFrames(Sequence[Frame]):
         return Frame(number, self._times[number], **pictures)
 
     def add(self, frame: Frame) -> None:
-        """Add a frame, the next one."""
+        """Add the next frame."""
         self._times.append(frame.time_s)
         self._shown[frame.index] = frame
 
     def take_back(self) -> None:
-        """Take the last frame back."""
+        """Remove the last frame."""
         self._shown.pop(len(self) - 1, None)
         self._times.pop()
 
     def put_away(self, index: int, *, keep: bool) -> None:
-        """Take the pictures of a frame out of memory; `keep` them on disk, or forget them."""
+        """Remove the pictures of a frame from memory; with `keep`, store them on disk."""
         frame = self._shown.pop(index, None)
         if frame is None or not keep:
             return
@@ -90,7 +90,7 @@ class GrowingFrames(Sequence[Frame]):
         return _Stored(offset, picture.shape, picture.dtype)
 
     def _read(self, stored: _Stored) -> np.ndarray:
-        # From any thread: a place of its own in the file, and not the file's.
+        # Any thread may read, since `pread` does not use the file's shared position.
         size = int(np.prod(stored.shape)) * stored.dtype.itemsize
         data = bytearray(os.pread(self._file.fileno(), size, stored.offset))
         return np.frombuffer(data, stored.dtype).reshape(stored.shape)

@@ -1,4 +1,4 @@
-"""A recording that is still being made: frames, actions and paths are added as they come."""
+"""A growing recording, to which frames, actions and paths are added as they arrive."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,19 +23,19 @@ from clothtrack.recordings.recording import (
 )
 
 Picker = Mapping[str, tuple[Sequence[float] | Float[np.ndarray, " 3"], bool]]
-"""Where the tips are in the world [m], and whether they are closed, by the picker's name."""
+"""Tip position in the world [m], and whether the picker is closed, by the picker's name."""
 
 
 class GrowingPath:
-    """Where a picker's tip was, sample by sample: 40 bytes each."""
+    """Sampled path of a picker's tip, with 40 bytes per sample."""
 
     def __init__(self) -> None:
-        """Begin without a sample."""
+        """Create an empty path."""
         self._samples = np.zeros((64, 5))
         self._count = 0
 
     def add(self, time_s: float, position: Float[np.ndarray, " 3"], closed: bool) -> bool:
-        """Add a sample; another one of the last time replaces it, an older one is not taken."""
+        """Add a sample; one of equal time replaces the last, an older one is rejected."""
         if self._count and time_s <= self.latest_s:
             if time_s < self.latest_s:
                 return False
@@ -57,7 +57,7 @@ class GrowingPath:
         return float(self._samples[self._count - 1, 0])
 
     def since(self, time_s: float) -> PickerPath:
-        """Return the path from the last sample up to this time [s] on."""
+        """Return the path from the last sample at or before this time [s] on."""
         times = self._samples[: self._count, 0]
         first = max(int(np.searchsorted(times, time_s, side="right")) - 1, 0)
         part = self._samples[first : self._count].copy()
@@ -65,18 +65,18 @@ class GrowingPath:
 
 
 class GrowingRecording:
-    """Adds to a recording that the parts of the method already hold.
+    """Writer of a recording that the components of the method share.
 
     Attributes:
-        recording: what there is so far; a path begins where the latest action did.
-        paths: the whole paths, by the picker's name.
-        zero_s: where the recording begins on the caller's clock [s]; 0 before it does.
+        recording: the recording so far; its paths begin with the latest action.
+        paths: whole paths, by the picker's name.
+        zero_s: start of the recording on the caller's clock [s]; 0 before it begins.
     """
 
     def __init__(
         self, name: str, camera: Camera, table: Table | None, cloth: ClothDescription
     ) -> None:
-        """Begin with no frame."""
+        """Create a recording without frames."""
         self._frames = GrowingFrames()
         self._actions: list[PickAndPlace] = []
         self._paths: dict[str, PickerPath] = {}
@@ -88,7 +88,7 @@ class GrowingRecording:
         )  # fmt: skip
 
     def since_start(self, time_s: float) -> float:
-        """Return a time [s] as it counts from the first one that was asked about."""
+        """Convert a time [s] to the time since the first one passed to this method."""
         if not self._begun:
             self.zero_s, self._begun = float(time_s), True
         return float(time_s) - self.zero_s
@@ -97,7 +97,7 @@ class GrowingRecording:
         """Return the time of the next frame since the start [s].
 
         Raises:
-            InvalidRecordingError: it does not advance.
+            InvalidRecordingError: the time does not increase.
         """
         at_s, frames = self.since_start(time_s), self._frames
         if not np.isfinite(at_s) or (frames and not at_s > frames[-1].time_s):
@@ -110,17 +110,17 @@ class GrowingRecording:
         return at_s
 
     def move_picker(self, at_s: float, picker: Picker) -> list[str]:
-        """Take samples of the pickers' paths.
+        """Add samples to the pickers' paths.
 
         Args:
-            at_s: when, since the start [s].
+            at_s: time since the start [s].
             picker: position of each tip in the world [m], and whether it is closed.
 
         Returns:
-            What was wrong with them, in words.
+            Notes about rejected samples.
 
         Raises:
-            InvalidRecordingError: a position is no three finite numbers.
+            InvalidRecordingError: a position is not three finite numbers.
         """
         notes = []
         for name, (position, closed) in picker.items():
@@ -135,10 +135,10 @@ class GrowingRecording:
         return notes
 
     def find_table(self) -> None:
-        """Find the table in the first picture, and the world where the camera has no pose.
+        """Find the table in the first picture, and the world frame if the camera has no pose.
 
         Raises:
-            InvalidRecordingError: there is no plane that dominates.
+            InvalidRecordingError: there is no dominant plane.
         """
         (camera,) = self.recording.cameras
         fit = fit_recorded_table(self.recording, camera)
@@ -155,29 +155,29 @@ class GrowingRecording:
         self._frames.add(frame)
 
     def take_back(self, frame: int) -> None:
-        """Take the last frame back, and the action that begins with it."""
+        """Remove the last frame, and the action that begins with it."""
         self._frames.take_back()
         if self._actions and self._actions[-1].first_frame == frame:
             del self._actions[-1]
 
     def forget_pictures(self, index: int) -> None:
-        """Take the pictures of a frame out of memory; the first frame's stay.
+        """Remove the pictures of a frame from memory, except those of the first frame.
 
-        Those where an action begins or ends go to a disk: labels are judged by them. All would fill
-        it in an hour.
+        Pictures at the beginning or end of an action go to disk because labels are judged by them.
+        All pictures would fill the disk in an hour.
         """
         ends = {end for one in self._actions[-2:] for end in (one.first_frame, one.last_frame)}
         if index > 0:
             self._frames.put_away(index, keep=index in ends)
 
     def begin_action(self, first_frame: int) -> None:
-        """Add an action; it ends where it begins, and nobody makes it, until that is known."""
+        """Add an action that ends at its first frame and has no pickers until these are known."""
         self._actions.append(PickAndPlace(first_frame, first_frame, ()))
 
     def change_action(
         self, place: int, *, last_frame: int | None = None, pickers: set[str] | None = None
     ) -> PickAndPlace:
-        """Say by whom an action is, or where it ends; return it."""
+        """Set the pickers or the last frame of an action, and return it."""
         action = self._actions[place]
         if pickers is not None:
             action = replace(action, pickers=tuple(sorted(pickers)))
@@ -187,16 +187,16 @@ class GrowingRecording:
         return action
 
     def drop_action(self, place: int) -> None:
-        """Take an action back in which nothing happened."""
+        """Remove an action in which nothing happened."""
         del self._actions[place]
 
     def show_paths(self, first_frame: int) -> None:
-        """Give the method what is known of the paths since a frame."""
+        """Update the recording's paths from a frame on."""
         for name, path in self.paths.items():
             self._paths[name] = path.since(self._frames[first_frame].time_s)
 
     def finished(self) -> Recording:
-        """Return the recording with whole paths, to be kept."""
+        """Return the finished recording with whole paths."""
         whole: Mapping[str, PickerPath] = {
             name: path.since(-np.inf) for name, path in self.paths.items()
         }

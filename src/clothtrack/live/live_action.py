@@ -1,4 +1,4 @@
-"""One action while it happens."""
+"""Live tracking of one action."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,32 +27,31 @@ from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
 
 SETTLE_S = 0.2
-"""An action ends with the first picture that is so much later than the first one in which no picker
-is closed any more [s]."""
+"""Time from the first picture without a closed picker to the end of the action [s]."""
 
 
 LONGEST_GAP_S = 0.2
-"""The dynamics are rolled for so long over dropped pictures, at most [s]. Where they cannot keep up
-with the camera, a longer gap would take longer still, and the next one longer than that."""
+"""Longest roll-out of the dynamics over dropped pictures [s]. If they are slower than the camera, a
+longer gap would take more time, and make the next gap even longer."""
 
 
 @dataclass(frozen=True, eq=False)
 class HurriedCloth(HeldCloth):
-    """The same grasps over a gap of dropped pictures: all of the path, in less time."""
+    """Grasps that follow their whole path over a gap of dropped pictures in less time."""
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
-        """Return what the closed pickers do between two times [s], sooner."""
+        """Return the action of the closed pickers between two times [s], shortened."""
         action = super().action(start_s, end_s)
         share = min(1.0, LONGEST_GAP_S / action.duration_s)
         return replace(action, duration_s=share * action.duration_s, speed=action.speed / share)
 
 
 class LiveAction:
-    """Tracks an action that is under way; the latest of its recording.
+    """Tracker of the action in progress, the latest of its recording.
 
     Attributes:
-        state: the cloth now.
-        tracked_frame: the last frame that was tracked.
+        state: current state of the cloth.
+        tracked_frame: last tracked frame.
     """
 
     def __init__(
@@ -70,14 +69,14 @@ class LiveAction:
         """Begin with a frame in which the cloth lies still.
 
         Args:
-            growing: what is recorded; the action has been added to it.
-            components: what finds the grasp.
+            growing: the recording, which already contains the action.
+            components: components that find the grasp.
             method: the functions of Algorithm 1.
-            recorder: keeps what was tracked.
+            recorder: recorder of the tracked states.
             state: the cloth at the first frame.
-            theta: its parameters.
+            theta: parameters of the cloth.
             first: the first frame.
-            by_gripper: it ends when the pickers have opened.
+            by_gripper: whether the action ends when the pickers have opened.
         """
         self._standing = Standing(state, theta, dict(components.anchors.bound))
         self._log = SeenLog()
@@ -97,7 +96,7 @@ class LiveAction:
 
     @property
     def state(self) -> State:
-        """The cloth now."""
+        """Current state of the cloth."""
         return self._tracked.state
 
     @property
@@ -107,20 +106,20 @@ class LiveAction:
 
     @property
     def tracked_frame(self) -> Frame:
-        """The last frame that was tracked."""
+        """Last tracked frame."""
         return self._tracked.frame
 
     @property
     def held(self) -> dict[str, tuple[int, ...]]:
-        """The vertices that each picker holds or has held, by its name."""
+        """Vertices that each picker holds or has held, by its name."""
         return self._held.held_vertices
 
     def spent_s(self, frame: Frame) -> dict[str, float]:
-        """Return the CPU time of each part of a frame [s], by its name."""
+        """Return the CPU time of each step of a frame [s], by its name."""
         return self._notes.spent_s(frame)
 
     def grasp(self, frame: Frame, closed: set[str]) -> None:
-        """Find what pickers hold that have closed, from where the cloth lay at the beginning."""
+        """Find the grasps of newly closed pickers, in the cloth at the start of the action."""
         if closed <= self._closed:
             return
         self._closed |= closed
@@ -132,7 +131,7 @@ class LiveAction:
         """Track the cloth into the next frame.
 
         Raises:
-            InvalidRecordingError: no cloth is found in it.
+            InvalidRecordingError: no cloth is found in the frame.
         """
         grasps = self._grasps(self._growing.recording.picker_paths)
         if frame.index > self._tracked.frame.index + 1:
@@ -143,16 +142,16 @@ class LiveAction:
         )
 
     def note_seen(self, frame: Frame, seen: Observation) -> None:
-        """Take what was seen in a frame that was tracked, and the paths until then."""
+        """Record the observation of a tracked frame, and the paths so far."""
         self._paths = dict(self._growing.recording.picker_paths)
         self._log.add(frame, seen, rests=self._tracked.moved_at.index != frame.index)
 
     def stay(self, frame: Frame) -> None:
-        """Leave the mesh as it is in a frame that shows nothing."""
+        """Keep the mesh unchanged in a frame that shows no cloth."""
         self._notes.rest(frame, self.state)
 
     def is_over(self, frame: Frame, closed: set[str]) -> bool:
-        """Return whether the cloth has had time to settle since the pickers have opened."""
+        """Return whether the cloth has had time to settle since the pickers opened."""
         if self._by_gripper and not closed:
             self._opened_s = min(self._opened_s, frame.time_s)
         return frame.time_s - self._opened_s >= SETTLE_S - 1e-6
@@ -162,16 +161,15 @@ class LiveAction:
         return bool(np.isfinite(self._opened_s))
 
     def announce_last(self, frame: int | None) -> None:
-        """Say that a frame is to be the last one, before it is looked at; None: none is yet."""
+        """Set the last frame of the action before observing it; None: it is not known yet."""
         last = self.first_frame if frame is None else frame
         self._growing.change_action(self._place, last_frame=last)
 
     def end(self, last: Frame) -> tuple[Theta, State] | None:
-        """End with a frame that was tracked: TTO2.
+        """End the action with a tracked frame, and run its final alignment (TTO2).
 
         Returns:
-            What the next action starts from; None where nothing has happened, and the action is
-            taken back.
+            The start of the next action; None if nothing happened and the action was removed.
         """
         count = last.index - self._first.index
         if count == 0:
@@ -190,10 +188,11 @@ class LiveAction:
         )  # fmt: skip
 
     def asked(self, *, behind: bool) -> Asked | None:
-        """Return the action as its search is asked for, after its end; None where none can be.
+        """Return the search request for the ended action; None if it cannot be searched.
 
         Args:
-            behind: a search before it was not answered when it began; this one starts from there.
+            behind: whether an earlier search was unanswered when the action began; this search
+                then starts from that result.
         """
         log, known = self._log, self._known
         if known is None:
@@ -201,13 +200,13 @@ class LiveAction:
         question = Question(
             tuple(log.times_s), tuple(log.rests), b"", known.action.pickers, self._paths,
             None if behind else self._standing,
-            # Over a long gap the dynamics were hurried, which no other candidate's are.
+            # Over a long gap the dynamics were shortened, unlike those of other candidates.
             None if behind or self._hurried else in_tracked_frames(known, log.frames),
         )  # fmt: skip
         return Asked(self._place, tuple(log.frames), question, log)
 
     def picker_lag(self) -> ClockLag | None:
-        """Return what the action says of the pickers' clock, after its end; None: nothing."""
+        """Return the lag of the pickers' clock in the ended action; None if there is none."""
         seen, times_s = unpacked(self._log.packed()), self._log.times_s
         since_s = times_s[0] - FARTHEST_LAG_S
         recording = replace(
@@ -221,6 +220,6 @@ class LiveAction:
         return lag if lag is not None and lag.is_wrong(times_s) else None
 
     def _grasps(self, paths: Mapping[str, PickerPath]) -> HeldCloth:
-        """Return what is held, with the paths as they are known by now."""
+        """Return the grasps with the current paths."""
         grasps = [replace(one, path=paths[one.picker]) for one in self._held.grasps]
         return replace(self._held, grasps=tuple(grasps))

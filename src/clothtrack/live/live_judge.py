@@ -1,7 +1,7 @@
-"""How far to trust the mesh, a few times a second, beside the stream.
+"""Judgment of the live mesh a few times per second, in parallel with the stream.
 
-The evidence is that of a label (`evaluation.label_evidence`), taken in a smaller picture and with
-fewer points: a judgment takes some 30 ms instead of 150.
+The evidence is that of a label (`evaluation.label_evidence`), but with a smaller picture and fewer
+points, so that a judgment takes about 30 ms instead of 150.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,23 +17,23 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation, thin
 
 EVERY_S = 0.5
-"""Pictures are judged that are at least so far apart [s]."""
+"""Least time between judged pictures [s]."""
 
 _WIDTH = 160
-"""Width of the pictures in which outlines are compared [pixels]."""
+"""Width of the pictures for comparing outlines [pixels]."""
 
 _SPACING_M = 0.012
-"""Clouds are thinned to this before distances are taken [m]."""
+"""Point spacing of the clouds used for distances [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """What speaks against a mesh, vertex by vertex.
+    """Evidence against a mesh, per vertex.
 
     Attributes:
-        time_s: of its picture [s]; NaN: nothing was judged yet.
-        expected_error_m: error to expect of each vertex [m].
-        lost: vertices farther from what was seen than `FAR_M`.
+        time_s: time of its picture [s]; NaN if nothing was judged yet.
+        expected_error_m: expected error of each vertex [m].
+        lost: vertices farther than `FAR_M` from the observation.
     """
 
     time_s: float
@@ -42,15 +42,15 @@ class Judgment:
 
     @classmethod
     def none(cls, vertices: int) -> "Judgment":
-        """Return what is known of a mesh before it was judged."""
+        """Return the judgment of a mesh that was not judged yet."""
         return cls(np.nan, np.full(vertices, np.nan), np.zeros(vertices, bool))
 
 
 class LiveJudge:
-    """Judges the newest mesh in a thread of its own, one at a time."""
+    """Judge of the newest mesh in a separate thread, one mesh at a time."""
 
     def __init__(self, mesh: ClothMesh, device: str) -> None:
-        """Judge nothing yet.
+        """Start the thread.
 
         Args:
             mesh: the flat cloth.
@@ -70,7 +70,7 @@ class LiveJudge:
         """The last judgment.
 
         Raises:
-            Exception: whatever went wrong with it.
+            Exception: the judgment failed.
         """
         if self._busy is not None and self._busy.done():
             self._latest, self._busy = self._busy.result(), None
@@ -79,18 +79,18 @@ class LiveJudge:
     def look(
         self, time_s: float, positions: Float[np.ndarray, "vertices 3"], seen: Observation
     ) -> None:
-        """Judge a mesh, unless another one is being judged or was a moment ago.
+        """Start judging a mesh, unless a judgment is running or recent.
 
         Args:
-            time_s: of its picture [s].
+            time_s: time of its picture [s].
             positions: vertices [m].
-            seen: the cloud of its picture.
+            seen: observation of its picture.
         """
         if self._busy is not None or time_s - self._asked_s < EVERY_S:
             return
         self._asked_s = time_s
         vertices = positions.astype(np.float64)
-        before = vertices + (self._shift_m, 0.0, 0.0)  # as far as the last final alignment moved it
+        before = vertices + (self._shift_m, 0.0, 0.0)  # shift of the last final alignment
         way_m = self._travelled_m + mean_distance(vertices, self._label)
         label = Label(0, vertices, before)
         self._busy = self._thread.submit(self._judged, time_s, label, seen, way_m)
@@ -98,7 +98,7 @@ class LiveJudge:
     def end_action(
         self, before: Float[np.ndarray, "vertices 3"], after: Float[np.ndarray, "vertices 3"]
     ) -> None:
-        """Take the mesh at the end of an action [m], before and after its final alignment."""
+        """Record the mesh at the end of an action [m], before and after its final alignment."""
         after = after.astype(np.float64)
         self._before = self._label, self._travelled_m
         self._travelled_m += mean_distance(after, self._label)
@@ -109,13 +109,13 @@ class LiveJudge:
     def end_otherwise(
         self, before: Float[np.ndarray, "vertices 3"], after: Float[np.ndarray, "vertices 3"]
     ) -> None:
-        """Take another mesh for the end of the last action [m], as `end_action` takes it."""
+        """Replace the mesh at the end of the last action [m]; arguments as in `end_action`."""
         self._label, self._travelled_m = self._before
         self._actions -= 1
         self.end_action(before, after)
 
     def wait(self) -> None:
-        """Wait for a judgment that is under way."""
+        """Wait for a running judgment."""
         if self._busy is not None:
             self._busy.exception()
 
@@ -135,7 +135,7 @@ class LiveJudge:
 
 
 def _reduced(seen: Observation) -> Observation:
-    """Return an observation in smaller pictures."""
+    """Return an observation with smaller pictures."""
     cameras = tuple(camera.resized(min(_WIDTH, camera.width)) for camera in seen.cameras)
     hidden = {
         camera.name: cv2.resize(

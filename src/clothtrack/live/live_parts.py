@@ -1,4 +1,4 @@
-"""What a live tracker is made of once the first picture is known."""
+"""Components of a live tracker after the first picture."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,19 +23,18 @@ from clothtrack.tracking.theta import Theta
 
 @dataclass(eq=False)
 class LiveParts:
-    """The method, its state and its records.
+    """Method of a live tracker, with its state and records.
 
     Attributes:
-        components: what the functions of the method share.
+        components: components shared by the functions of the method.
         method: the functions of Algorithm 1.
-        state: the cloth between actions; where an action is under way, at its beginning.
-        theta: its parameters.
-        recorder: keeps what was tracked.
-        judge: says how far to trust the mesh.
-        gap_m: how far the first mesh lay from its cloud [m].
-        origin: where the first mesh is from.
-        begun_anew: the frames at which another mesh took the place of one that was lost, and where
-            it was from.
+        state: the cloth between actions; during an action, at its beginning.
+        theta: parameters of the cloth.
+        recorder: recorder of the tracked states.
+        judge: judge of the live mesh.
+        gap_m: distance of the first mesh from its cloud [m].
+        origin: source of the first mesh.
+        begun_anew: frames at which a new mesh replaced a lost one, with its source.
     """
 
     components: Components
@@ -49,7 +48,7 @@ class LiveParts:
     begun_anew: list[dict[str, object]] = field(default_factory=list)
 
     def setup(self, seen: Observation) -> Setup:
-        """Return what the process that searches needs; `seen` is the first cloud."""
+        """Return the setup of the search process; `seen` is the first cloud."""
         parts, first = self.components, self.components.recording.frames[0]
         cloth = replace(parts.recording.cloth, template=None)
         recording = replace(
@@ -70,19 +69,19 @@ class LiveParts:
         force: bool,
         watch: Watch | None,
     ) -> "LiveParts":
-        """Find the first mesh in the first picture, and make the method for it.
+        """Find the first mesh in the first picture, and create the method for it.
 
         Args:
-            recording: what there is of it.
+            recording: the recording so far.
             config: the settings.
-            observe: the cloud of a frame.
-            segmenter: finds the cloth; the recording's own way by default.
+            observe: function that returns the cloud of a frame.
+            segmenter: segmentation of the cloth; the recording's own by default.
             device: "cpu" or "cuda:0".
-            force: take a mesh that lies beside its cloud, too.
-            watch: is shown every mesh.
+            force: whether to accept a mesh that is too far from its cloud.
+            watch: callback with every mesh.
 
         Raises:
-            InvalidRecordingError: there is no first mesh, or it lies beside its cloud.
+            InvalidRecordingError: there is no first mesh, or it is too far from its cloud.
         """
         first, gap_m = checked_initial_state(
             recording, observe(recording.frames[0]), config.initial_state, segmenter=segmenter,
@@ -99,7 +98,7 @@ class LiveParts:
         )  # fmt: skip
 
     def keep_searched(self, asked: Asked, answer: Answer) -> None:
-        """Keep what a search has found in the place of what was tracked live."""
+        """Replace the live track of an action with its search result."""
         recording = self.components.recording
         last, count = asked.frames[-1], len(recording.frames)
         others = [one.first_frame + 1 for one in recording.actions]
@@ -111,7 +110,7 @@ class LiveParts:
         )  # fmt: skip
 
     def stand(self, answer: Answer) -> float:
-        """Go on from what a search has found; return how far the mesh moves on average [m]."""
+        """Continue from a search result; return the mean shift of the mesh [m]."""
         before, end = self.state.positions[0], answer.end
         self.state, self.theta = end.state, end.theta
         self.components.anchors.bound = dict(end.bound)
@@ -119,8 +118,8 @@ class LiveParts:
         return mean_distance(end.state.positions[0].astype(float), before.astype(float))
 
     def begin_anew(self, found: Found, frame: Frame) -> None:
-        """Go on from another mesh in a frame in which the cloth rests."""
-        # A solver is captured here, and no other thread may launch kernels meanwhile.
+        """Continue from another mesh in a frame in which the cloth rests."""
+        # No other thread may launch kernels while a solver is captured here.
         self.judge.wait()
         self.components = replace(self.components, start=found.positions, first_frame=frame.index)
         made = METHODS[self.components.config.mode](self.components)

@@ -1,4 +1,4 @@
-"""Serve pictures as they come: the newest wins, what cannot be served is dropped."""
+"""Stream that processes the newest picture and drops those it cannot process in time."""
 
 import threading
 import time
@@ -14,12 +14,12 @@ from clothtrack.live.live_state import LiveState
 from clothtrack.live.live_tracker import LiveTracker
 
 STALL_S = 0.2
-"""Camera or picker that sends nothing for so long has stalled [s]."""
+"""Time without data after which a camera or picker has stalled [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Arrival:
-    """A picture that waits, and when it came."""
+    """Waiting picture with its arrival time."""
 
     time_s: float
     depth: np.ndarray
@@ -30,10 +30,10 @@ class _Arrival:
 
 
 class LiveStream:
-    """Feeds a tracker from a thread of its own, through a queue of one picture.
+    """Stream that feeds a tracker from its own thread, through a queue of one picture.
 
-    `put` returns at once. A picture that waits while a newer one comes is dropped, and the picker's
-    path over the gap is followed in the next step. Use it in a `with` block, or call `stop`.
+    `put` returns at once. A waiting picture is dropped when a newer one arrives, and the next step
+    follows the picker's path over the gap. Use it in a `with` block, or call `stop`.
     """
 
     def __init__(
@@ -42,9 +42,9 @@ class LiveStream:
         """Start the thread.
 
         Args:
-            tracker: tracks; do not call it otherwise while the stream runs.
-            on_state: called in that thread after every picture, and when something stalls or comes
-                back.
+            tracker: the tracker; do not call it elsewhere while the stream runs.
+            on_state: callback in that thread after every picture, and when a source stalls or
+                recovers.
         """
         self._tracker, self._on_state = tracker, on_state
         self._change = threading.Condition()
@@ -70,7 +70,7 @@ class LiveStream:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop; serve what waits, unless the block raised."""
+        """Stop; process the waiting picture unless the block raised."""
         if kind is None:
             self.stop()
         else:
@@ -78,7 +78,7 @@ class LiveStream:
 
     @property
     def state(self) -> LiveState | None:
-        """The newest state; None before the first picture was served."""
+        """Newest state; None before the first picture was processed."""
         return self._state
 
     def put(
@@ -89,10 +89,10 @@ class LiveStream:
         mask: np.ndarray | None = None,
         picker: Picker | None = None,
     ) -> None:
-        """Hand a picture over, as to `LiveTracker.update`; arrays may be used again afterwards.
+        """Queue a picture, as in `LiveTracker.update`; arrays may be reused afterwards.
 
         Raises:
-            Exception: what went wrong with an earlier picture.
+            Exception: processing an earlier picture failed.
         """
         now_s = time.monotonic()
         copies = [None if one is None else np.array(one) for one in (color, mask)]
@@ -106,20 +106,20 @@ class LiveStream:
             self._change.notify_all()
 
     def begin_action(self) -> None:
-        """Let an action begin with the next picture that is served."""
+        """Begin an action with the next processed picture."""
         with self._change:
             self._turns.append(self._tracker.begin_action)
 
     def end_action(self) -> None:
-        """Let the action that is under way end with the next picture that is served."""
+        """End the current action with the next processed picture."""
         with self._change:
             self._turns.append(self._tracker.end_action)
 
     def wait(self) -> None:
-        """Wait until no picture waits or is being served.
+        """Wait until no picture is queued or being processed.
 
         Raises:
-            Exception: what went wrong with a picture.
+            Exception: processing a picture failed.
         """
         with self._change:
             while (self._waiting is not None or self._busy) and self._error is None:
@@ -128,10 +128,10 @@ class LiveStream:
                 raise self._error
 
     def stop(self) -> LiveState | None:
-        """Serve the picture that waits, end the thread, and return the last state.
+        """Process the waiting picture, end the thread, and return the last state.
 
         Raises:
-            Exception: what went wrong with a picture.
+            Exception: processing a picture failed.
         """
         self._halt(serve=True)
         if self._error is not None:
@@ -157,11 +157,11 @@ class LiveStream:
             while self._serve_next():
                 pass
         except BaseException as error:  # noqa: BLE001
-            # It belongs to whoever hands pictures over, and is raised there.
+            # `put`, `wait` and `stop` raise it in the caller's thread.
             self._error = error
 
     def _serve_next(self) -> bool:
-        """Serve one picture, or say what has stalled; return whether to go on."""
+        """Process one picture, or report stalled sources; return whether to continue."""
         with self._change:
             if self._waiting is None and not self._stopped:
                 self._change.wait(timeout=0.25 * STALL_S)
@@ -187,7 +187,7 @@ class LiveStream:
         return arrival is not None or not stopped
 
     def _find_stalled(self) -> tuple[str, ...]:
-        """Return what has sent nothing for a while."""
+        """Return the sources that have stalled."""
         since_s = {"camera": self._camera_s, **self._picker_s}
         late_s = time.monotonic() - STALL_S
         return tuple(name for name, seen_s in since_s.items() if seen_s < late_s)

@@ -1,8 +1,8 @@
-"""Track a cloth picture by picture, as they come from the camera.
+"""Tracking of a cloth picture by picture, as they come from the camera.
 
-The steps are those of `tracking.algorithm`, in the same order, and what comes of the same pictures
-is the same to the bit. The final alignment of an action (TTO2) and the search of its candidates are
-made beside the stream, and pictures may be missing.
+The steps are those of `tracking.algorithm`, in the same order, and the same pictures give the same
+result bit for bit. The final alignment of an action (TTO2) and the search of its candidates run in
+parallel with the stream, and pictures may be missing.
 """
 
 import time
@@ -35,11 +35,11 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 
 class LiveTracker:
-    """Tracks one cloth while it moves.
+    """Live tracker of one cloth.
 
     Call `update` with every picture, in order. An action begins with the first picture in which a
-    picker is closed and ends with the first one that is 0.2 s later than all have opened; between
-    actions the mesh rests. `begin_action` and `end_action` say it instead, where no gripper does.
+    picker is closed. It ends with the first picture 0.2 s after all pickers have opened. Between
+    actions the mesh rests. Without a gripper, call `begin_action` and `end_action`.
     """
 
     def __init__(
@@ -57,11 +57,10 @@ class LiveTracker:
         force: bool = False,
         warm: bool = True,
     ) -> None:
-        """Load and warm everything that the first picture needs.
+        """Load and warm up everything that the first picture needs.
 
-        `clothtrack.LiveTracker` says what the arguments are. With `warm` a small cloth is tracked
-        first, so that kernels are loaded when the first picture comes: a second or two, once in a
-        process.
+        See `clothtrack.LiveTracker` for the arguments. With `warm`, a small cloth is tracked first
+        to load the kernels before the first picture. This takes a second or two, once per process.
         """
         self._config = config or RunConfig()
         self._find_table = isinstance(table, str)
@@ -95,58 +94,58 @@ class LiveTracker:
 
     @property
     def segmenter(self) -> Segmenter | None:
-        """What finds the cloth in a picture, where that was handed in."""
+        """Segmentation of the cloth, if one was given."""
         return self._segmenter
 
     @property
     def camera(self) -> Camera:
-        """The camera, with its pose in the world."""
+        """Camera with its pose in the world."""
         return self._growing.recording.cameras[0]
 
     @property
     def recording(self) -> Recording:
-        """What was seen so far; it grows."""
+        """The growing recording."""
         return self._growing.recording
 
     @property
     def mesh(self) -> ClothMesh | None:
-        """The flat cloth: topology and rest shape; None before the first picture."""
+        """Flat cloth with topology and rest shape; None before the first picture."""
         return None if self._parts is None else self._parts.components.mesh
 
     @property
     def dropped(self) -> int:
-        """Pictures that were not served."""
+        """Number of pictures that were not processed."""
         return self._dropped
 
     def begin_action(self) -> None:
-        """Let an action begin with the next picture, whatever the gripper does."""
+        """Begin an action with the next picture, regardless of the gripper."""
         self._begins = True
 
     def end_action(self) -> None:
-        """Let the action that is under way end with the next picture."""
+        """End the current action with the next picture."""
         self._ends = self._action is not None or self._begins
 
     def move_picker(self, time_s: float, picker: Picker) -> None:
-        """Take where the pickers are between two pictures.
+        """Add the pickers' positions at a time between pictures.
 
         Args:
-            time_s: when [s], on the clock of the pictures.
+            time_s: time of the positions [s], on the clock of the pictures.
             picker: position of each tip in the world [m], and whether it is closed.
 
         Raises:
-            InvalidRecordingError: a position is no three finite numbers.
+            InvalidRecordingError: a position is not three finite numbers.
         """
         self._notes += self._growing.move_picker(self._growing.since_start(time_s), picker)
 
     def drop(self, time_s: float, picker: Picker | None = None) -> None:
-        """Take note of a picture that cannot be served; the mesh stays, the picker's path counts.
+        """Record a dropped picture; the mesh rests, but the picker's path is used.
 
         Args:
-            time_s: when it was taken [s].
+            time_s: time of the picture [s].
             picker: as for `update`.
 
         Raises:
-            InvalidRecordingError: it is older than the last one.
+            InvalidRecordingError: the picture is older than the last one.
         """
         self.move_picker(time_s, picker or {})
         frame = Frame(len(self.recording.frames), self._growing.next_time(time_s))
@@ -165,18 +164,18 @@ class LiveTracker:
         mask: np.ndarray | None = None,
         picker: Picker | None = None,
     ) -> LiveState:
-        """Return the whole cloth in a picture.
+        """Track the cloth into the next picture and return its state.
 
         Args:
-            time_s: when it was taken [s], later than the one before.
+            time_s: time of the picture [s], later than the one before.
             depth: (height, width) float, along the optical axis [m]; 0 where nothing was measured.
             color: (height, width, 3) uint8, red first.
-            mask: (height, width) bool, where the cloth is.
+            mask: (height, width) bool, mask of the cloth.
             picker: position of each tip in the world [m] at that time, and whether it is closed.
 
         Raises:
             InvalidRecordingError: a picture or a position is of the wrong size, type or order; the
-                first picture shows no cloth, or the first mesh lies beside it.
+                first picture shows no cloth, or the first mesh is too far from it.
         """
         began = time.perf_counter()
         if self._closed:
@@ -206,20 +205,20 @@ class LiveTracker:
             self._recover(frame, self._parts, seen)
         state = self._state(frame, self._parts, seen, began)
         if self._over is not None and self._final is None:
-            # Nothing else needs the simulator until an action begins.
+            # The simulator is free until the next action begins.
             self._final = self._finisher.submit(self._over[0].end, self._over[1])
         return state
 
     def tracked(
         self, recording: Recording | None = None, judge: Judge | None = None
     ) -> tuple[TrackedTrajectory, Recording]:
-        """End an action that is under way; return what was tracked, and from what.
+        """End the current action; return the tracked trajectory and its recording.
 
-        Searches that wait are waited for; Ctrl-C leaves out those that are not done.
+        Pending searches are completed; Ctrl-C skips the unfinished ones.
 
         Args:
-            recording: what was played, frame by frame, where it was one; what was seen by default.
-            judge: says what to do with the trajectory; nobody by default.
+            recording: the recording that was played, if any; by default the live recording.
+            judge: function that computes the verdict; none by default.
 
         Raises:
             InvalidConfigError: there was no picture.
@@ -262,7 +261,7 @@ class LiveTracker:
         return tracked, source
 
     def _start(self, frame: Frame) -> LiveParts:
-        """Find the first mesh, and make the method for it."""
+        """Find the first mesh and create its method."""
         if self._find_table:
             self._growing.find_table()
         self._growing.show_paths(frame.index)
@@ -279,15 +278,15 @@ class LiveTracker:
     def _show(
         self, recording: Recording, mesh: ClothMesh, frame: Frame, positions: np.ndarray
     ) -> None:
-        """Show a mesh to who watches; a dropped picture has none to lay it over."""
+        """Call the watcher with a mesh, unless the picture was dropped."""
         if self._watch is not None and frame.depth:
             self._watch(recording, mesh, frame, positions)
 
     def _turn(self, frame: Frame, closed: set[str]) -> tuple[bool, bool]:
         """Return whether an action begins and whether one ends with a frame.
 
-        The recording says so before the frame is looked at: points are chosen where actions begin
-        and lost ones are looked for where they end.
+        The recording is updated before the frame is observed, because followed points are chosen at
+        the beginning of actions, and lost ones are searched at the end.
         """
         closing = bool(closed - self._closed_before)
         action = self._action
@@ -307,7 +306,7 @@ class LiveTracker:
     def _track(
         self, frame: Frame, parts: LiveParts, closed: set[str], *, begins: bool, ends: bool
     ) -> Observation | None:
-        """Take the mesh to a frame; return its cloud, or None where no cloth is found."""
+        """Track the mesh into a frame; return its cloud, or None if no cloth is found."""
         action = self._action
         self._growing.show_paths(frame.index if action is None else action.first_frame)
         self._spent_s = {}
@@ -332,7 +331,7 @@ class LiveTracker:
         return seen
 
     def _begin(self, parts: LiveParts, first: Frame, closed: set[str], seen: Observation) -> None:
-        """Begin an action with a frame, from where the one before ended."""
+        """Begin an action with a frame, from the end state of the previous one."""
         self._finish(wait=True)
         self._take_searched(wait=False)
         self._newest = None
@@ -347,16 +346,16 @@ class LiveTracker:
         self._action.grasp(first, closed)
 
     def _end(self, action: LiveAction, last: Frame) -> None:
-        """End an action with a frame; its final alignment is made beside the stream."""
+        """End an action with a frame; its final alignment runs in parallel with the stream."""
         assert self._parts is not None
         self._parts.state = action.state
         self._over, self._action, self._ends = (action, last), None, False
 
     def _finish(self, *, wait: bool) -> None:
-        """Take over the final alignment of the action that has ended, when it is ready.
+        """Apply the final alignment of the ended action if it is ready.
 
         Args:
-            wait: until it is; or make it now, if it was not begun.
+            wait: whether to wait for it, or to compute it now if it was not started.
         """
         if self._over is None or not (wait or (self._final and self._final.done())):
             return
@@ -372,7 +371,7 @@ class LiveTracker:
                 self._ask(self._search, action)
 
     def _compare_clocks(self, *, wait: bool) -> None:
-        """Take over what ended actions say of the pickers' clock; all of them with `wait`."""
+        """Apply the clock lags measured in ended actions; with `wait`, all of them."""
         while self._lags and (wait or self._lags[0].done()):
             before, self._lag = self._lag, self._lags.pop(0).result()
             if self._lag is not None and before is None:
@@ -384,20 +383,20 @@ class LiveTracker:
                 )
 
     def _ask(self, search: SearchBeside, action: LiveAction) -> None:
-        """Have an action searched that has ended, unless too many wait already."""
+        """Queue the search of an ended action, unless the queue is full."""
         asked = None if search.full else action.asked(behind=self._behind)
         self._newest, self._linked = asked, asked is not None
         if asked is not None:
             search.ask(asked)
 
     def _take_searched(self, *, wait: bool) -> None:
-        """Take over what searches have found since; the mesh, where no action is under way.
+        """Store new search results, and use the mesh of the newest action.
 
         Args:
-            wait: until all are answered.
+            wait: whether to wait for all answers.
         """
         search, parts = self._search, self._parts
-        # The final alignment writes to what is kept, in another thread.
+        # The final alignment writes to the recorder in another thread.
         if search is None or parts is None or self._over is not None:
             return
         for asked, answer in search.answers(wait=wait):
@@ -417,7 +416,7 @@ class LiveTracker:
             self._searches.append(row)
 
     def _unseen(self, frame: Frame, *, begins: bool, words: str) -> None:
-        """Leave the mesh as it is in a picture without cloth; what was to begin or end waits."""
+        """Keep the mesh in a picture without cloth, and postpone beginnings and ends."""
         self._notes.append(words)
         if begins:
             self._growing.drop_action(-1)
@@ -426,7 +425,7 @@ class LiveTracker:
             self._action.stay(frame)
 
     def _recover(self, frame: Frame, parts: LiveParts, seen: Observation) -> None:
-        """Notice that the mesh has lost the cloth, and begin anew once another mesh is found."""
+        """Detect that the mesh has lost the cloth, and restart from the network's mesh."""
         recovery, said = self._recovery, self._notes
         said += [note for note in [recovery.look(parts.judge.latest)] if note]
         if self._action is not None or self._over is not None:
@@ -446,7 +445,7 @@ class LiveTracker:
     def _state(
         self, frame: Frame, parts: LiveParts, seen: Observation | None, began_s: float
     ) -> LiveState:
-        """Return what is known of the cloth in a frame."""
+        """Return the state of the cloth in a frame."""
         components, action = parts.components, self._action
         state = parts.state if action is None else action.state
         positions = np.array(state.positions[0], np.float32)

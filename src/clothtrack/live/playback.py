@@ -1,4 +1,4 @@
-"""Play a recording at the speed of its clock, as if its camera were on now."""
+"""Playback of a recording in real time, like a live camera."""
 
 import math
 import time
@@ -14,14 +14,14 @@ from clothtrack.recordings.recording import Frame, Recording
 
 
 def play(recording: Recording, stream: LiveStream) -> None:
-    """Hand every picture of a recording to a stream when its time has come.
+    """Send every picture of a recording to a stream at its time.
 
-    Actions begin and end where the recording says so; where it names none, with the gripper. The
-    first picture is waited for: the first mesh takes longer than any later one.
+    Actions begin and end as in the recording, or with the gripper if the recording has none. The
+    first picture is processed before the others start because the first mesh takes longest.
 
     Args:
-        recording: with depth of its first camera.
-        stream: takes the pictures; each is read from disk before its time has come.
+        recording: recording with depth of its first camera.
+        stream: stream that receives the pictures; each is read from disk ahead of its time.
 
     Raises:
         InvalidRecordingError: a picture cannot be read.
@@ -49,7 +49,7 @@ def play(recording: Recording, stream: LiveStream) -> None:
 
 
 def pickers_at(recording: Recording, frame: Frame) -> Picker:
-    """Return where the pickers of a recording are in a frame, and whether they are closed."""
+    """Return the pickers' positions in a frame, and whether they are closed."""
     return {
         name: (path.position_at(frame.time_s), path.closed_at(frame.time_s))
         for name, path in recording.picker_paths.items()
@@ -58,12 +58,12 @@ def pickers_at(recording: Recording, frame: Frame) -> Picker:
 
 @dataclass
 class Latencies:
-    """How long pictures took from their arrival to their mesh, and what was dropped.
+    """Latencies from the arrival of a picture to its mesh, and the number of dropped pictures.
 
     Attributes:
-        first_s: of the first picture, which makes the first mesh [s].
-        each_s: of all later ones that were served [s].
-        dropped: pictures that were not served.
+        first_s: latency of the first picture, which includes the first mesh [s].
+        each_s: latencies of all later processed pictures [s].
+        dropped: number of pictures that were not processed.
     """
 
     first_s: float = math.nan
@@ -72,7 +72,7 @@ class Latencies:
     _newest: int = -1
 
     def add(self, state: LiveState) -> None:
-        """Count a picture that was served; a state that only says what stalls is none."""
+        """Add a processed picture; states that only report a stall do not count."""
         if state.frame == self._newest:
             return
         self._newest = state.frame
@@ -83,7 +83,7 @@ class Latencies:
         self.dropped = state.dropped
 
     def text(self) -> str:
-        """Return median, 95 % and what was dropped, in a line."""
+        """Return median, 95th percentile and dropped pictures in one line."""
         served = len(self.each_s) + (not math.isnan(self.first_s))
         share = 100.0 * self.dropped / max(served + self.dropped, 1)
         words = f"{self.dropped} of {served + self.dropped} pictures dropped ({share:.0f} %)"
@@ -96,7 +96,7 @@ class Latencies:
         )
 
     def as_dict(self) -> dict[str, float | int]:
-        """Return the same as JSON holds it."""
+        """Return the same as plain JSON values."""
         some = self.each_s or [math.nan]
         median, most = np.percentile(some, [50, 95]).tolist()
         return {

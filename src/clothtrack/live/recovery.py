@@ -1,7 +1,7 @@
-"""Begin anew where the mesh has lost the cloth: the network's mesh of one picture, made beside.
+"""Recovery of a lost cloth from the network's mesh of one picture.
 
-The network works in a process of its own. Its mesh may be of another triangulation: each vertex of
-the tracked cloth goes to where its material point is there.
+The network runs in a separate process. Its mesh may have another triangulation, so each vertex of
+the tracked cloth moves to its material point on that mesh.
 """
 
 from collections.abc import Mapping
@@ -26,23 +26,22 @@ from clothtrack.tracking.configuration import InitialStateConfig
 from clothtrack.tracking.initial_state import InitialState, find_initial_state
 
 LOST_SHARE = 0.2
-"""The mesh has lost the cloth when such a share of its vertices is lost in two judgments."""
+"""Share of lost vertices, in two judgments, from which the mesh has lost the cloth."""
 
 AGAIN_S = 10.0
-"""After an answer that was of no use the network is asked again so much later, at the earliest [s].
-"""
+"""Least time between two requests to the network [s]."""
 
 _NEARER = 0.7
-"""The network's mesh has to be nearer to what is seen than the tracked one, by this factor."""
+"""The network's mesh is used if its gap to the cloud is below this share of the tracked one's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A mesh to begin anew with.
+    """Mesh to restart with.
 
     Attributes:
-        positions: where the vertices of the tracked cloth are [m].
-        origin: where it is from, stored with the result.
+        positions: vertices of the tracked cloth [m].
+        origin: source of the mesh, stored with the result.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
@@ -50,16 +49,16 @@ class Found:
 
 
 class Recovery:
-    """Notices that the mesh has lost the cloth, and asks the network where it is."""
+    """Detector of a lost cloth, which requests a new mesh from the network."""
 
     def __init__(
         self, config: InitialStateConfig, segmenter: Segmenter | None, device: str
     ) -> None:
-        """Have lost nothing.
+        """Set the network and the segmentation.
 
         Args:
-            config: which weights the network has.
-            segmenter: finds the cloth; the recording's own way by default.
+            config: initial-state settings with the network's weights.
+            segmenter: segmentation of the cloth; the recording's own by default.
             device: "cpu" or "cuda:0".
         """
         self._config = replace(config, source="network", template="")
@@ -76,7 +75,7 @@ class Recovery:
         return self._in_a_row >= 2
 
     def look(self, judged: Judgment) -> str:
-        """Take the latest judgment; return what to say where the cloth is lost with it."""
+        """Record the latest judgment; return a message if the cloth is newly lost."""
         if not judged.time_s > self._judged_s:
             return ""
         before, self._judged_s = self.astray, judged.time_s
@@ -90,7 +89,7 @@ class Recovery:
         )
 
     def ask(self, recording: Recording, frame: Frame) -> None:
-        """Ask the network for the cloth in a picture, unless it was asked a moment ago."""
+        """Request the network's mesh of a picture, unless a request is recent."""
         if self._asked is not None or frame.time_s - self._asked_s < AGAIN_S:
             return
         self._asked_s = frame.time_s
@@ -102,14 +101,14 @@ class Recovery:
         self._processes |= set(active_children()) - others
 
     def answer(self) -> InitialState | str | None:
-        """Return the network's mesh once, or why there is none; None while there is no answer."""
+        """Return the network's mesh once, or why there is none; None if it is not ready."""
         if self._asked is None or not self._asked.done():
             return None
         asked, self._asked = self._asked, None
         try:
             return asked.result()
         except (ClothTrackError, RuntimeError, OSError) as error:
-            # The tracker goes on without: a process may die, or a network be not installed.
+            # The tracker continues without it: the process may die, or no network be installed.
             return f"the mesh does not begin anew: {error}"
 
     def better(
@@ -119,12 +118,12 @@ class Recovery:
         positions: Float[np.ndarray, "vertices 3"],
         seen: Observation,
     ) -> Found | str:
-        """Return the network's mesh where it is nearer to what is seen now, or why it is not taken.
+        """Return the network's mesh if it is nearer to the cloud, or why it is rejected.
 
         Args:
-            answer: of the network, about an earlier picture.
-            mesh: the tracked cloth, flat.
-            positions: where it is taken to be [m].
+            answer: the network's mesh of an earlier picture.
+            mesh: the flat tracked cloth.
+            positions: its tracked vertices [m].
             seen: the cloud of the newest picture.
         """
         canonical = answer.mesh.canonical
@@ -151,7 +150,7 @@ class Recovery:
         return Found(there, answer.origin)
 
     def close(self) -> None:
-        """End the network's process; an answer that is still made is not waited for."""
+        """End the network's process without waiting for a running request."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             for process in self._processes:
@@ -159,7 +158,7 @@ class Recovery:
 
 
 def _one_picture(recording: Recording, frame: Frame, segmenter: Segmenter | None) -> Recording:
-    """Return a recording of one picture, which another process can be sent."""
+    """Return a recording of one picture that can be sent to another process."""
     shown = replace(frame, index=0, time_s=0.0)
     (camera,) = recording.cameras
     if segmenter is not None:
@@ -171,7 +170,7 @@ def _one_picture(recording: Recording, frame: Frame, segmenter: Segmenter | None
 
 
 def _answer(recording: Recording, config: InitialStateConfig, device: str) -> InitialState:
-    """Return the network's mesh of the only picture; in a process of its own."""
+    """Return the network's mesh of the only picture; runs in a separate process."""
     from clothtrack.recordings.point_cloud import observe
 
     (frame,) = recording.frames

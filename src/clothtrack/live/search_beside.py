@@ -1,8 +1,8 @@
-"""The search of each action, beside the stream: asked when it has ended, answered when it is ready.
+"""Search of each ended action, in parallel with the stream.
 
-Searches are made one after the other, in a process of their own (`search_process`). It may be an
-action or more behind: then it goes on from what it has found, and what was tracked live meanwhile
-is replaced by what it finds, as if all had been searched at once.
+Searches run one after the other, in a separate process (`search_process`). The process may be one
+or more actions behind. It then continues from its own last result, and its results replace the live
+track, as if every action had been searched immediately.
 """
 
 import os
@@ -25,19 +25,19 @@ from clothtrack.tracking.protocols import TrackedCandidate
 from clothtrack.tracking.tracked_trajectory import StepRecords
 
 MOST_WAITING = 4
-"""Actions that wait for their search while another one is searched; one that ends while so many
-wait is not searched, and the next one begins where it was tracked to."""
+"""Largest number of actions that wait while another is searched. An action that ends while the
+queue is full is not searched, and the next one starts from its live track."""
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """An action whose search was asked for.
+    """Search request of an action.
 
     Attributes:
-        number: of the action among those that are kept.
-        frames: those that it was tracked through.
-        question: without its clouds, which are in `log`.
-        log: what was seen.
+        number: number of the action among the stored ones.
+        frames: frames in which it was tracked.
+        question: the question without its clouds, which are in `log`.
+        log: observations of the action.
     """
 
     number: int
@@ -47,11 +47,11 @@ class Asked:
 
 
 def in_tracked_frames(known: TrackedCandidate, frames: Sequence[int]) -> TrackedCandidate:
-    """Return a candidate that was tracked live in the frames of its `Question`.
+    """Convert a live candidate to the frame numbers of its `Question`.
 
     Args:
-        known: in the frames of the live recording.
-        frames: those that it was tracked through, from the first one of its action on.
+        known: candidate in the frames of the live recording.
+        frames: frames in which it was tracked, starting with the first of its action.
     """
     rows = np.array(frames)
     records = StepRecords.empty(len(rows))
@@ -63,12 +63,12 @@ def in_tracked_frames(known: TrackedCandidate, frames: Sequence[int]) -> Tracked
 
 
 def in_live_frames(answer: Answer, frames: Sequence[int], count: int) -> TrackedCandidate:
-    """Return the chosen candidate in the frames of the live recording; it rests in those between.
+    """Convert the chosen candidate to the live frames; it rests in untracked frames.
 
     Args:
-        answer: of a search.
-        frames: those that the action was tracked through.
-        count: of all frames of the recording.
+        answer: answer of a search.
+        frames: frames in which the action was tracked.
+        count: number of frames of the recording.
     """
     best, rows = answer.best, np.array(frames)
     records = StepRecords.empty(count)
@@ -82,17 +82,17 @@ def in_live_frames(answer: Answer, frames: Sequence[int], count: int) -> Tracked
 
 
 class SearchBeside:
-    """Asks the process that searches, and takes its answers."""
+    """Client of the search process."""
 
     def __init__(self, setup: Setup) -> None:
-        """Start the process; what is asked before it is ready waits."""
+        """Start the process; earlier requests wait until it is ready."""
         self._waiting = deque[Asked]()
         self._questions: queue.SimpleQueue[Asked | None] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[Answer | str] = queue.SimpleQueue()
         self._lost = ""
         processes: list[subprocess.Popen[bytes]] = []
         self._end = weakref.finalize(self, _end, self._questions, processes)
-        # The kernel ends a process with the thread that started it: not with that of a stream.
+        # The kernel ends a process with the thread that started it, which must not be the stream's.
         threading.Thread(
             target=_ask_all, args=(setup, self._questions, self._answers, processes),
             name="clothtrack-search", daemon=True,
@@ -100,27 +100,27 @@ class SearchBeside:
 
     @property
     def busy(self) -> bool:
-        """Whether an action waits for its search, or is being searched."""
+        """Whether an action is waiting for its search or being searched."""
         return bool(self._waiting)
 
     @property
     def full(self) -> bool:
-        """Whether no other action can be searched."""
+        """Whether no further action can be searched."""
         return bool(self._lost) or len(self._waiting) > MOST_WAITING
 
     def ask(self, asked: Asked) -> None:
-        """Have an action searched, after those that wait."""
+        """Queue an action for its search."""
         self._waiting.append(asked)
         self._questions.put(asked)
 
     def answers(self, *, wait: bool) -> Iterator[tuple[Asked, Answer | str]]:
-        """Yield what has been answered since, in the order of the actions.
+        """Yield the new answers in the order of the actions.
 
         Args:
-            wait: until nothing waits.
+            wait: whether to wait until the queue is empty.
 
         Yields:
-            The action, and what was found or why nothing was.
+            The action, and its answer or the reason why there is none.
         """
         while self._waiting:
             answer: Answer | str = self._lost
@@ -138,7 +138,7 @@ class SearchBeside:
             yield self._waiting.popleft(), answer
 
     def close(self) -> None:
-        """End the process; an answer that is still made is not waited for."""
+        """End the process without waiting for a running search."""
         self._end()
 
 
@@ -148,7 +148,7 @@ def _ask_all(
     answers: queue.SimpleQueue[Answer | str],
     processes: list[subprocess.Popen[bytes]],
 ) -> None:
-    """Hand questions over, one at a time, until there is None; in a thread."""
+    """Send questions to the process, one at a time, until None; runs in a thread."""
     try:
         path = os.pathsep.join(each for each in sys.path if each)
         process = subprocess.Popen(
@@ -168,8 +168,8 @@ def _ask_all(
                 answers.put(pickle.load(taken))
             process.kill()
     except Exception as error:  # noqa: BLE001
-        # The tracker goes on without, whatever it was: a process may be killed where memory is
-        # short, and nobody else would tell that no answer comes.
+        # The tracker continues without searches after any error. A process may be killed if memory
+        # is short, and only this thread can report that no answer comes.
         answers.put(f"the process that searches has ended: {str(error) or 'it died'}")
 
 

@@ -1,13 +1,13 @@
-"""The process that searches: it follows a live tracker, an action or more behind.
+"""The search process, which follows a live tracker one or more actions behind.
 
-It runs Algorithm 1 as `track` does, with the search of the configuration, on what the tracker has
-seen. The candidate that was tracked live counts as tracked. What it reads from its standard input
-are a `Setup` and then `Question`s, and it answers each on its standard output; all are pickled.
-Both pipes, and the file without a name that clouds come from (`seen_log`), are of the tracker's own
-process and this one: nothing is unpickled that anyone else could have written.
+It runs Algorithm 1 as `track` does, with the configured search, on the tracker's observations. It
+reuses the candidate that was tracked live. It reads a `Setup` and then `Question`s from standard
+input, and answers each on standard output; all are pickled. Both pipes, and the unnamed file of
+clouds (`seen_log`), belong only to the tracker's process and this one. Therefore nothing is
+unpickled that anyone else could have written.
 
-It is no child of `multiprocessing`: that imports the caller's program once more, and a program that
-tracks in its first lines would track in every process.
+It does not use `multiprocessing`, which imports the caller's program again: a program that tracks
+at module level would then track in every process.
 """
 
 import os
@@ -36,18 +36,18 @@ from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
 
 NICE = 10
-"""Pictures that come are served first where there is one core."""
+"""Niceness of the process, so that new pictures have priority on a single core."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What the method is made of.
+    """Data from which the method is created.
 
     Attributes:
         recording: cameras, table and cloth, with the first frame.
         mesh: the flat cloth in the world [m].
         config: the settings.
-        start: vertices at the first frame [m], if the cloth does not lie flat there.
+        start: vertices at the first frame [m]; None if the cloth lies flat there.
         seen: the cloud of the first frame.
         device: "cpu" or "cuda:0".
     """
@@ -62,12 +62,12 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """All that an action starts from.
+    """Start of an action.
 
     Attributes:
-        state: the cloth.
-        theta: its parameters.
-        bound: the points that are followed (`FeatureAnchors`).
+        state: state of the cloth.
+        theta: parameters of the cloth.
+        bound: followed points (`FeatureAnchors`).
     """
 
     state: State
@@ -77,16 +77,16 @@ class Standing:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """An action that has ended. Its frames count from 0, and are those that were tracked.
+    """Ended action to search. Its frames are the tracked ones, numbered from 0.
 
     Attributes:
-        times_s: of the frames [s].
-        rests: in which of them the pictures did not change.
-        seen: their clouds, packed (`SeenLog`).
-        pickers: by whom the action is.
-        paths: of all pickers.
-        start: what it starts from; None: what the last answer ended with.
-        known: the candidate that was tracked live from there; None where none was.
+        times_s: times of the frames [s].
+        rests: whether the pictures did not change, per frame.
+        seen: clouds of the frames, packed (`SeenLog`).
+        pickers: names of the pickers of the action.
+        paths: paths of all pickers.
+        start: start of the action; None: the end of the last answer.
+        known: candidate that was tracked live from this start; None if there is none.
     """
 
     times_s: tuple[float, ...]
@@ -100,14 +100,14 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What came of a search.
+    """Result of a search.
 
     Attributes:
-        best: the candidate that was chosen.
-        end: what the next action starts from.
+        best: the chosen candidate.
+        end: start of the next action.
         losses: objective [m^2] before and after the final alignment.
-        calibration: the record of the search.
-        began_at: vertices where the action began [m].
+        calibration: record of the search.
+        began_at: vertices at the beginning of the action [m].
     """
 
     best: TrackedCandidate
@@ -118,10 +118,10 @@ class Answer:
 
 
 class Searcher:
-    """Searches one action after the other."""
+    """Search of one action after the other."""
 
     def __init__(self, setup: Setup) -> None:
-        """Make the method, on a recording of which one action is shown at a time."""
+        """Create the method on a recording that contains one action at a time."""
         self._frames = list(setup.recording.frames)
         self._actions: list[PickAndPlace] = []
         self._paths: dict[str, PickerPath] = {}
@@ -160,7 +160,7 @@ class Searcher:
         return Answer(best, self._standing, losses, calibration, start.state.positions[0])
 
     def _show(self, question: Question) -> PickAndPlace:
-        """Put the frames of an action in the place of those of the last one."""
+        """Replace the frames of the last action with those of this one."""
         action = PickAndPlace(0, len(question.times_s) - 1, question.pickers)
         self._frames[:] = [Frame(index, time_s) for index, time_s in enumerate(question.times_s)]
         self._actions[:] = [action]
@@ -173,7 +173,7 @@ class Searcher:
         return self._seen[frame.index]
 
     def _at_rest(self, action: PickerAction, tracked_at: Frame, frame: Frame) -> bool:  # noqa: ARG002
-        """Return what was found live: pictures are not here, and they are the same for all."""
+        """Return the live result, since pictures are missing here and equal for all candidates."""
         return action.motion is None and self._rests[frame.index]
 
 
@@ -184,7 +184,7 @@ def _same(candidate: Candidate, known: Candidate) -> bool:
 
 
 def serve(questions: BinaryIO, answers: BinaryIO) -> None:
-    """Answer questions until there are no more, or one cannot be: that is answered in words."""
+    """Answer questions until the input ends or one fails, which is answered by its error."""
     searcher = Searcher(pickle.load(questions))
     while True:
         try:
@@ -202,10 +202,10 @@ def serve(questions: BinaryIO, answers: BinaryIO) -> None:
 
 
 def main() -> None:
-    """Serve whoever started this process."""
+    """Run the search process on standard input and output."""
     start_worker()
     os.nice(NICE)
-    # What a library prints must not be among the answers.
+    # Redirect standard output so that text printed by libraries does not mix with the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     serve(sys.stdin.buffer, answers)

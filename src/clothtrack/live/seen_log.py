@@ -1,4 +1,4 @@
-"""What was seen in the frames of one action, in a file, until its search has been answered."""
+"""File with the observations of one action, kept until its search is answered."""
 
 import io
 import os
@@ -15,7 +15,7 @@ from clothtrack.recordings.recording import Frame
 
 @dataclass(frozen=True, eq=False)
 class _Packed:
-    """An observation with eight hidden pixels in a byte."""
+    """Observation whose hidden masks are packed, eight pixels per byte."""
 
     seen: Observation
     hidden: dict[str, tuple[tuple[int, ...], np.ndarray]]
@@ -34,16 +34,16 @@ class _Packed:
 
 
 class SeenLog:
-    """Clouds of the frames that an action was tracked through; pictures are not needed again.
+    """Clouds of the tracked frames of an action, without the pictures.
 
     Attributes:
         frames: number of each frame.
-        times_s: when it was [s].
-        rests: whether the cloth was found to lie in it as it lay before.
+        times_s: time of each frame [s].
+        rests: whether the cloth was at rest in each frame.
     """
 
     def __init__(self) -> None:
-        """Begin without a frame; the file has no name and goes with this object."""
+        """Create an empty log; its unnamed file is deleted with this object."""
         self.frames: list[int] = []
         self.times_s: list[float] = []
         self.rests: list[bool] = []
@@ -51,14 +51,14 @@ class SeenLog:
         weakref.finalize(self, self._file.close)
 
     def add(self, frame: Frame, seen: Observation, *, rests: bool) -> None:
-        """Add the next frame that was tracked."""
+        """Add the next tracked frame."""
         self.frames.append(frame.index)
         self.times_s.append(frame.time_s)
         self.rests.append(rests)
         pickle.dump(_Packed.of(seen), self._file, pickle.HIGHEST_PROTOCOL)
 
     def packed(self) -> bytes:
-        """Return all clouds, as `unpacked` reads them; several threads may ask."""
+        """Return all clouds for `unpacked`; several threads may call this."""
         self._file.flush()
         place = self._file.fileno()
         return os.pread(place, os.fstat(place).st_size, 0)

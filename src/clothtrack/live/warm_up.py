@@ -1,4 +1,4 @@
-"""Track a small cloth once, so that nothing is loaded or compiled when the first picture comes."""
+"""Warm-up on a small cloth, so that the first picture loads and compiles nothing."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,13 +21,13 @@ _RESTING_M = 0.0015
 
 @cache
 def warm_up(make: Callable[..., Any], mode: ModeName, color: bool, device: str) -> None:
-    """Fold the corner of a towel in three pictures, by every step of a mode; once in a process.
+    """Track a lifted towel corner with every step of a mode, once per process.
 
     Args:
-        make: the class of the tracker.
-        mode: of the configuration.
+        make: class of the tracker.
+        mode: mode of the configuration.
         color: whether points are followed.
-        device: where to compute.
+        device: device to compute on.
     """
     towel = garment("towel", vertex_count=150, size_m=(0.15, 0.15))
     vertices = towel.vertices + (0.0, 0.0, _RESTING_M - towel.vertices[:, 2].min())

@@ -1,4 +1,4 @@
-"""Flattening: which pick-and-place to try next, what it would do, and who carries it out."""
+"""Flattening: planning of pick-and-places, their predicted result, and their execution."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,7 @@
-"""Pick-and-places to choose from: where cloth is seen, in reach, and in the picture.
+"""Sampling of pick-and-places on visible cloth, within reach and within the picture.
 
 Random shooting as in the paper (Sec. IV-B.2) and its reference code: a pick on visible cloth, a
-direction, 5 to 20 cm. Picks near hems and corners are tried more often, since these unfold cloth.
+direction, 5 to 20 cm. Picks near hems and corners are sampled more often because they unfold cloth.
 """
 
 from collections.abc import Sequence
@@ -18,32 +18,32 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, carrying_path
 
 _EDGE_REACH_M = 0.02
-"""Radius of the neighborhood [m] that tells an edge from the middle of a cloth."""
+"""Radius of the neighborhood [m] that distinguishes an edge from the interior of a cloth."""
 
 _LEAST_WEIGHT = 0.02
-"""How often the middle of the cloth is picked, compared with a straight edge's 0.18."""
+"""Pick weight of the interior of the cloth; a straight edge has 0.18."""
 
 ON_CLOTH_M = 0.012
-"""A place this near to a seen point [m] is on the cloth; a pick farther from any is on none."""
+"""Largest distance of a pick or place on the cloth from a visible point [m]."""
 
 _OUTWARDS = 0.5
-"""Share of moves that lead within 60 degrees of straight away from the middle of the cloth; the
-others lead anywhere."""
+"""Share of moves within 60 degrees of the direction away from the middle of the cloth; the others
+have any direction."""
 
 RELEASE_HEIGHT_M = 0.006
 """Height of the tip above table or cloth when it opens [m]."""
 
 PICTURE_MARGIN = 0.03
-"""No pick or place is this near to the border of the picture, as a share of its width."""
+"""Smallest distance of a pick or place from the picture border, as a share of its width."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickPlace:
-    """One pick-and-place in the world frame; doing nothing is None.
+    """Pick-and-place in the world frame; None stands for no action.
 
     Attributes:
-        pick: where the gripper closes [m].
-        place: where it opens [m].
+        pick: position where the gripper closes [m].
+        place: position where it opens [m].
         lift_m: height of the path over the straight line between them [m].
     """
 
@@ -52,19 +52,19 @@ class PickPlace:
     lift_m: float
 
     def path(self, speed: float, time_step_s: float) -> Float[np.ndarray, "steps 3"]:
-        """Return where the tip is [m] after each time step, at most this fast [m/s]."""
+        """Return the tip position [m] after each time step, at most this fast [m/s]."""
         planned = PlannedAction(np.zeros(0, np.int64), self.pick, self.place, self.lift_m)
         config = ActionConfig(speed=speed, frame_rate=1.0 / time_step_s)
         return carrying_path(planned, config, time_step_s)
 
     def as_dict(self) -> dict[str, object]:
-        """Return plain values, for JSON."""
+        """Return plain values for JSON."""
         return {"pick": self.pick.tolist(), "place": self.place.tolist(), "lift_m": self.lift_m}
 
 
 @dataclass(frozen=True)
 class Workspace(Checked):
-    """A box of the world that the tip may be in: what the robot reaches and nobody else needs.
+    """Box in the world frame that the robot reaches and nobody else needs; the tip stays in it.
 
     Attributes:
         x_m: least and largest x [m].
@@ -85,14 +85,14 @@ class Workspace(Checked):
 
 @dataclass(frozen=True)
 class ActionSpace(Checked):
-    """Which pick-and-places are tried.
+    """Settings of the sampled pick-and-places.
 
     Attributes:
         distance_m: least and largest horizontal distance [m] (paper's reference code: 0.05 to 0.2).
         lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
-        edges: share of picks that are drawn near edges and corners; the others are anywhere on
-            visible cloth, as in the reference code.
-        workspace: where the tip may be.
+        edges: share of picks drawn near edges and corners; the others are anywhere on visible
+            cloth, as in the reference code.
+        workspace: allowed region of the tip.
     """
 
     distance_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.05, 0.2)
@@ -103,11 +103,11 @@ class ActionSpace(Checked):
 
 @dataclass(frozen=True, eq=False)
 class SeenCloth:
-    """What actions are chosen from.
+    """Visible cloth from which actions are chosen.
 
     Attributes:
-        cloud: points of the cloth that the camera sees [m], world frame, z up.
-        camera: whose picture picks and places must be in; None: any.
+        cloud: visible points of the cloth [m], world frame, z up.
+        camera: camera whose picture must contain picks and places; None: no such limit.
         table_height_m: height of the table in the world [m].
     """
 
@@ -119,14 +119,14 @@ class SeenCloth:
 def edge_measure(
     points: Float[np.ndarray, "points dimensions"], radius_m: float = _EDGE_REACH_M
 ) -> Float[np.ndarray, " points"]:
-    """Return how much of an edge or a corner is at each point, seen from above.
+    """Return the edge strength at each point, seen from above.
 
-    The distance from the point to the middle of its neighbors, over the radius: 0 inside, 4 / (3
-    pi) = 0.42 on a straight edge, 0.6 in a right-angled corner.
+    It is the distance from the point to the mean of its neighbors, over the radius: 0 inside,
+    4 / (3 pi) = 0.42 on a straight edge, 0.6 in a right-angled corner.
 
     Args:
-        points: evenly spread points [m]; the first two coordinates count.
-        radius_m: of the neighborhood [m].
+        points: evenly spread points [m]; only the first two coordinates are used.
+        radius_m: radius of the neighborhood [m].
     """
     flat = np.asarray(points[:, :2], dtype=np.float64)
     tree = cKDTree(flat)
@@ -143,15 +143,15 @@ def pick_weights(
     flat: ClothMesh | None = None,
     positions: Float[np.ndarray, "vertices 3"] | None = None,
 ) -> Float[np.ndarray, " points"]:
-    """Return how often each seen point is to be picked: edges of the cloud, and the garment's.
+    """Return the pick probability of each visible point, higher at edges of cloud and garment.
 
-    A hem that lies on other cloth is no edge of the picture. Where the mesh has one near the seen
-    surface, it counts like an edge.
+    A hem that lies on other cloth is not an edge of the cloud. If the mesh has a hem near the
+    visible surface, it counts as an edge.
 
     Args:
-        cloud: points that are seen [m].
-        flat: the garment's rest shape; None: only edges of what is seen count.
-        positions: where its vertices are believed to be [m].
+        cloud: visible points [m].
+        flat: the garment's rest shape; None: only edges of the cloud count.
+        positions: estimated positions of its vertices [m].
 
     Returns:
         Weights that sum to one.
@@ -174,15 +174,15 @@ def sample_actions(
     *,
     weights: Float[np.ndarray, " points"] | None = None,
 ) -> list[PickPlace]:
-    """Sample pick-and-places within all limits; fewer than asked for where hardly any is.
+    """Sample pick-and-places within all limits; fewer than `count` if few are possible.
 
     Args:
-        seen: the cloth as it is seen.
-        count: how many are wanted.
-        space: which there are.
-        rng: source of everything random.
-        weights: how often each point is picked near edges (`pick_weights`); of what is seen when
-            None.
+        seen: the visible cloth.
+        count: number of actions.
+        space: settings of the actions.
+        rng: random generator.
+        weights: probability of each point for picks near edges (`pick_weights`); None: from the
+            cloud alone.
     """
     cloud = seen.cloud
     weights = pick_weights(cloud) if weights is None else weights
@@ -214,16 +214,16 @@ def within_limits(
     lifts_m: Float[np.ndarray, " actions"],
     space: ActionSpace,
 ) -> list[PickPlace]:
-    """Return the pick-and-places that keep all limits, with the height of the place.
+    """Return the pick-and-places within all limits, with the height of the place.
 
     Args:
-        seen: the cloth as it is seen.
-        picks: where the gripper closes [m].
-        places: where it opens, in the plane of the table [m].
+        seen: the visible cloth.
+        picks: positions where the gripper closes [m].
+        places: positions where it opens, in the plane of the table [m].
         lifts_m: height of each path over the straight line [m].
         space: the limits.
     """
-    # Noise puts points of flat cloth below the table, where no gripper may go.
+    # Noise puts points of flat cloth below the table, where the gripper must not go.
     picks = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], seen.table_height_m)])
     tree = cKDTree(seen.cloud[:, :2])
     ground = np.full(len(places), seen.table_height_m)
@@ -249,7 +249,7 @@ def in_picture(
 ) -> Bool[np.ndarray, " points"]:
     """Return which points [m, world] are in the picture, a share of its width from the border.
 
-    A camera that is None sees everything.
+    Without a camera, all points are.
     """
     if camera is None:
         return np.ones(len(points), dtype=bool)
@@ -261,6 +261,6 @@ def in_picture(
 
 
 def off_cloth(seen: SeenCloth, actions: Sequence[PickPlace]) -> Float[np.ndarray, " actions"]:
-    """Return how far each place is from the nearest cloth that is seen, from above [m]."""
+    """Return the horizontal distance of each place from the nearest visible cloth [m]."""
     places = np.array([action.place[:2] for action in actions]).reshape(-1, 2)
     return cKDTree(seen.cloud[:, :2]).query(places)[0]

@@ -1,4 +1,4 @@
-"""An action drawn on a picture: where the gripper picks, where it places."""
+"""Drawing of an action on a picture, as an arrow from pick to place."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The cloth as planning sees it: few vertices, so that a hundred futures are affordable."""
+"""Coarse cloth meshes for planning, cheap enough for a hundred rollouts."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -13,23 +13,23 @@ from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 
 LAYERS = {"towel": 1.0, "tshirt": 1.2}
-"""Area of all layers of a garment over width times length, about."""
+"""Approximate area of all layers of a garment over width times length."""
 
 _COUNTED_AREA = 1.0 / 1.08
-"""A triangular or square lattice has this many vertices per square of its spacing, with hems."""
+"""Area per vertex of a triangular or square lattice, hems included, over its squared spacing."""
 
 _FEWEST = 64
-"""Vertices below which a garment's outline is lost."""
+"""Vertex count below which a garment's outline is lost."""
 
 
 @dataclass(frozen=True)
 class CoarseConfig(Checked):
-    """How coarse planning is.
+    """Resolution of the planning mesh.
 
     Attributes:
-        spacing_m: length of an edge [m]; the reference code clusters to 0.025, which takes a small
-            towel's folds away (docs/notebook/flattening.md).
-        most_vertices: never more than this, however large the garment.
+        spacing_m: edge length [m]; the reference code clusters to 0.025, which removes the folds of
+            a small towel (docs/notebook/flattening.md).
+        most_vertices: largest number of vertices, whatever the garment's size.
     """
 
     spacing_m: Positive = 0.015
@@ -37,24 +37,24 @@ class CoarseConfig(Checked):
 
 
 class Coarsener:
-    """Lays a coarse mesh of the same garment into a fine one; the fine one may be anywhere.
+    """Map from a fine mesh in any state to a coarse mesh of the same garment.
 
     Each coarse vertex is a material point of the fine cloth, found once through the canonical
-    coordinates. Garments of another kind than those that can be made are planned as they are.
+    coordinates. A garment of a kind that cannot be generated keeps its fine mesh.
 
     Attributes:
         flat: the coarse garment at rest [m].
-        stands_for: for each vertex of the fine garment, the coarse one nearest to it in the flat
-            garment; None: they are the same.
+        stands_for: for each vertex of the fine garment, the nearest coarse vertex in the flat
+            garment; None: the meshes are the same.
     """
 
     def __init__(self, flat: ClothMesh, kind: str, config: CoarseConfig | None = None) -> None:
-        """Find the coarse garment's points in the fine one.
+        """Locate the coarse vertices in the fine mesh.
 
         Args:
             flat: the fine garment at rest [m], with canonical coordinates.
-            kind: the garment.
-            config: how coarse.
+            kind: kind of garment.
+            config: resolution of the coarse mesh.
         """
         config = config or CoarseConfig()
         self._faces = flat.faces
@@ -80,7 +80,7 @@ class Coarsener:
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"]
     ) -> Float[np.ndarray, "coarse_vertices 3"]:
-        """Return where the coarse vertices are [m] when the fine ones are here [m]."""
+        """Return the coarse vertices [m] for given positions of the fine ones [m]."""
         positions = np.asarray(positions, dtype=np.float64)
         if self._face_of is None:
             return positions.copy()

@@ -1,9 +1,9 @@
-"""One flattening episode on disk, step by step, so that a killed one goes on.
+"""One flattening episode on disk, written step by step so that it can be resumed.
 
-    EPISODE/episode.json       what was asked for, what with, and each finished step
+    EPISODE/episode.json       settings, software versions and each finished step
     EPISODE/steps/00           the cloth before any action, as a recording of one frame
     EPISODE/steps/01 ...       each action as a recording of its own
-    EPISODE/estimates/00.npz   what was believed after each step
+    EPISODE/estimates/00.npz   estimated cloth state after each step
 
 At the end the steps are joined to one normal recording. The truth of a simulated robot is not
 stored here.
@@ -36,22 +36,22 @@ PACKAGES = ("numpy", "scipy", "warp-lang", "mujoco-core", "torch")
 
 
 class EpisodeStore:
-    """Writes and reads the parts of one episode.
+    """Reader and writer of the parts of one episode.
 
     Attributes:
-        folder: where they lie.
+        folder: folder of the episode.
         document: `episode.json` as it is now.
     """
 
     def __init__(
         self, folder: Path, asked: Mapping[str, Any], *, weights: Mapping[str, Path] | None = None
     ) -> None:
-        """Begin an episode, or take up the one that lies there.
+        """Begin an episode, or resume the one in the folder.
 
         Args:
-            folder: of the episode.
-            asked: everything that it depends on; an episode with another one is refused.
-            weights: files that are read; their names are noted with commit and versions.
+            folder: folder of the episode.
+            asked: all settings that the episode depends on; they must match a stored episode.
+            weights: weights files; their names are stored with commit and versions.
 
         Raises:
             InvalidConfigError: the folder holds an episode with other settings.
@@ -99,11 +99,11 @@ class EpisodeStore:
         write_file(self.folder / DOCUMENT, json.dumps(self.document, indent=1).encode())
 
     def recording_path(self, step: int) -> Path:
-        """Return where the recording of a step lies."""
+        """Return the path of a step's recording."""
         return self.folder / "steps" / f"{step:02d}"
 
     def clear_after(self, step: int) -> None:
-        """Remove what a kill left of steps that were never finished.
+        """Remove the files of steps after this one, which were never finished.
 
         Raises:
             StorageError: the disk refuses.
@@ -114,7 +114,7 @@ class EpisodeStore:
                     shutil.rmtree(path)
 
     def add_estimate(self, step: int, estimate: Estimate) -> None:
-        """Write what was believed after a step, whole or not at all.
+        """Write the estimate after a step, whole or not at all.
 
         Raises:
             StorageError: the disk refuses.
@@ -133,9 +133,9 @@ class EpisodeStore:
             np.savez_compressed(unfinished, **arrays)
 
     def estimate(self, step: int) -> Estimate | None:
-        """Return what was believed after a step; None where nothing was.
+        """Return the estimate after a step; None if there is none.
 
-        Of episodes that were planned from several beliefs, the first.
+        If an episode was planned from several estimates, return the first.
 
         Raises:
             InvalidResultError: the file is damaged.
@@ -156,7 +156,7 @@ class EpisodeStore:
             ) from error
 
     def joined(self, out: Path, provenance: Mapping[str, Any]) -> Path:
-        """Write all steps as one recording for the tracker; kept when it is there.
+        """Write all steps as one recording for the tracker, unless it exists.
 
         Raises:
             InvalidRecordingError: a step cannot be read.
@@ -203,15 +203,15 @@ def write_step(
     """Write one step as a recording and read it back.
 
     Args:
-        folder: of the recording.
+        folder: folder of the recording.
         frames: its pictures, in order of time, the last one without the arm.
-        cloth: what is known of it.
-        table: what it lies on.
-        execution: the action that is in it; None without one.
-        provenance: who made it, how.
+        cloth: known properties of the cloth.
+        table: table that it lies on.
+        execution: action in the recording; None: there is none.
+        provenance: origin of the recording.
 
     Raises:
-        InvalidRecordingError: what the robot gave is no valid recording.
+        InvalidRecordingError: the robot's data are not a valid recording.
         StorageError: the disk refuses.
     """
     camera = frames[0].camera
@@ -232,7 +232,7 @@ def write_step(
 
 
 def _covering(path: PickerPath, frames: Sequence[RgbdFrame]) -> PickerPath:
-    """Return the path extended to all pictures: at rest before its first sample, and after."""
+    """Return the path extended at both ends, with the tip at rest, to cover all pictures."""
     times, tips, closed = path.time_s, path.positions, path.closed
     if frames[0].time_s < times[0]:
         times = np.concatenate([[frames[0].time_s], times])

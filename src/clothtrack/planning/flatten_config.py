@@ -1,4 +1,4 @@
-"""How to flatten, as values, and what an episode is known by."""
+"""Configuration of flattening, and the identity of an episode."""
 
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import entry_points
@@ -24,17 +24,17 @@ Policy = Literal["planned", "random", "outwards", "heuristic"]
 
 @dataclass(frozen=True)
 class FlattenConfig(Checked):
-    """One way to flatten.
+    """Settings of a flattening episode.
 
     Attributes:
         policy: "planned"; or the name of a policy without any mesh
             (`baselines.flattening_policies`).
-        perception: where the cloth is.
-        dynamics: "simulator", or "mesh": the learned ones.
-        dynamics_weights: file with the weights of the learned dynamics; "": those that come along.
-        simulator: the solver as dynamics.
-        planner: how an action is chosen.
-        actions: most actions of an episode (paper: 10).
+        perception: estimator of the cloth state.
+        dynamics: "simulator", or "mesh" for the learned dynamics.
+        dynamics_weights: file with the weights of the learned dynamics; "": the shipped weights.
+        simulator: settings of the solver as dynamics.
+        planner: settings of the planner.
+        actions: largest number of actions in an episode (paper: 10).
     """
 
     policy: Policy = "planned"
@@ -47,7 +47,7 @@ class FlattenConfig(Checked):
 
 
 def weights_used(config: FlattenConfig) -> dict[str, Path]:
-    """Return the files of weights that flattening a garment reads, of "network" and "dynamics"."""
+    """Return the weights files that flattening reads, under "network" and "dynamics"."""
     used: dict[str, Path | None] = {}
     if config.policy == "planned" and config.perception.name != "truth":
         named = config.perception.weights
@@ -58,10 +58,10 @@ def weights_used(config: FlattenConfig) -> dict[str, Path]:
 
 
 def episode_identity(config: FlattenConfig) -> dict[str, Any]:
-    """Return what an episode is known by: files count by their content, not by their names.
+    """Return the identity of an episode; files enter by content hash, not by name.
 
     Raises:
-        StorageError: a file of weights, or a template, cannot be read.
+        StorageError: a weights file or a template cannot be read.
     """
     settings = asdict(config)
     if config.perception.template:
@@ -72,10 +72,10 @@ def episode_identity(config: FlattenConfig) -> dict[str, Any]:
 
 
 def _learned_dynamics(name: str) -> LearnedDynamics:
-    """Return the learned dynamics of a name, of whichever package has them.
+    """Return the learned dynamics that an installed package registers under a name.
 
     Raises:
-        InvalidConfigError: no package that is installed has them.
+        InvalidConfigError: no installed package has them.
     """
     for found in entry_points(group="clothtrack.dynamics", name=name):
         return found.load()
@@ -86,11 +86,11 @@ def _learned_dynamics(name: str) -> LearnedDynamics:
 
 
 def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynamics:
-    """Return the configured dynamics; PyTorch is imported for the learned ones only.
+    """Return the configured dynamics; only the learned ones import PyTorch.
 
     Raises:
-        InvalidConfigError: the learned ones are asked for, and [learn] is not installed.
-        InvalidResultError: the weights are missing, damaged or of something else.
+        InvalidConfigError: the learned dynamics are requested, but [learn] is not installed.
+        InvalidResultError: the weights are missing, damaged or of another kind.
     """
     if config.dynamics == "mesh":
         learned = _learned_dynamics("mesh")

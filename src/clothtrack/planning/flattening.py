@@ -1,7 +1,7 @@
-"""The closed loop: observe, reconstruct, plan, act, observe again, until the cloth is flat.
+"""The closed loop: observe, reconstruct, plan and act until the cloth is flat.
 
-What is known of the cloth comes from the robot's pictures. A simulated robot's true coverage is
-taken down for the score, and decides nothing.
+All decisions use only the robot's pictures. A simulated robot's true coverage is recorded for the
+score but never used for a decision.
 """
 
 import logging
@@ -35,38 +35,38 @@ ENOUGH = 0.95
 """An episode ends when the cloth covers this share of the flat garment's area."""
 
 _OF_EPISODES = 0xEF15
-"""Keeps the draws of this module apart from those of others with the same seed."""
+"""Seed component that separates this module's random draws from others with the same seed."""
 
 
 Propose = Callable[[SeenCloth, PlannerConfig, np.random.Generator], Sequence[PickPlace]]
-"""A policy without a mesh: actions for what is seen, the best first."""
+"""A policy without a mesh: returns actions for the visible cloth, the best first."""
 
 
 @runtime_checkable
 class Checkpoint(Protocol):
-    """Keeps what an episode needs to go on beside its own files, such as a simulated world."""
+    """Storage of state outside the episode's own files, such as a simulated world."""
 
     def save(self, step: int) -> None:
-        """Keep the world after a step."""
+        """Save the world after a step."""
         ...
 
     def restore(self, step: int) -> None:
-        """Put the world where it was after a step."""
+        """Restore the world to its state after a step."""
         ...
 
 
 Watch = Callable[[EpisodeStore, Decision | None], None]
-"""Called after every step with the episode and the next decision, if there is one."""
+"""Callback after every step with the episode and the next decision, if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeScene:
-    """What does not change during an episode.
+    """Constants of an episode.
 
     Attributes:
-        cloth: what is known of the cloth.
-        table: what it lies on.
-        flat_area_m2: area that the flat garment covers [m^2]; None: of the first estimate.
+        cloth: known properties of the cloth.
+        table: table that it lies on.
+        flat_area_m2: area that the flat garment covers [m^2]; None: taken from the estimates.
     """
 
     cloth: ClothDescription
@@ -75,7 +75,7 @@ class EpisodeScene:
 
 
 def flat_area(cloth: ClothDescription) -> float | None:
-    """Return the area that a flat garment of known kind and size covers [m^2]; else None."""
+    """Return the area of the flat garment [m^2]; None if its kind or size is unknown."""
     if cloth.kind not in DEFAULT_SIZES_M or cloth.size_m is None:
         return None
     mesh = garment(cloth.kind, vertex_count=300, size_m=cloth.size_m)
@@ -98,22 +98,22 @@ class Flattening:
         score: Callable[[], float] | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        """Flatten with these parts.
+        """Assemble the episode.
 
         Args:
             robot: acts and takes pictures.
             scene: cloth and table.
-            config: how.
-            perception: finds the cloth; a policy without a mesh needs none.
-            dynamics: of the planner.
-            propose: any other policy than "planned".
-            seed: of the actions that are tried.
-            score: true coverage [m^2], taken down and never used; simulated robots have it.
-            checkpoint: keeps the world for a resumed episode.
+            config: settings of the episode.
+            perception: estimator of the cloth; a policy without a mesh needs none.
+            dynamics: dynamics of the planner.
+            propose: the policy, if it is not "planned".
+            seed: seed of the sampled actions.
+            score: true coverage [m^2] of a simulated robot; recorded and never used.
+            checkpoint: storage of the world for resuming the episode.
 
         Raises:
-            InvalidConfigError: planning is asked for without perception or dynamics, or another
-                policy that is not given.
+            InvalidConfigError: the policy is "planned" without perception or dynamics, or another
+                policy without `propose`.
         """
         is_planned = config.policy == "planned"
         if is_planned and (perception is None or dynamics is None):
@@ -134,12 +134,12 @@ class Flattening:
     def run(
         self, folder: Path, *, watch: Watch | None = None, progress: Progress | None = None
     ) -> EpisodeStore:
-        """Flatten, or go on where a killed episode stopped; a finished one is left as it is.
+        """Run the episode, or resume it where it stopped; leave a finished one unchanged.
 
         Args:
-            folder: of the episode (`EpisodeStore`).
+            folder: folder of the episode (`EpisodeStore`).
             watch: called after every step.
-            progress: called with every action, and with what is done for it.
+            progress: called with every action and its current phase.
 
         Returns:
             The episode on disk.
@@ -148,7 +148,7 @@ class Flattening:
             InvalidConfigError: the folder holds another episode.
             InvalidRecordingError: the first picture shows no cloth.
         """
-        # The truth is an upper bound that no camera can have, never a result.
+        # The truth is an upper bound that no camera can reach, so it is labeled a control.
         name = "none" if self._perception is None else self._config.perception.name
         label = {"perception": name, "control": name == "truth"}
         cloth = self._scene.cloth
@@ -176,7 +176,7 @@ class Flattening:
         return store
 
     def _tell(self, actions: int, phase: str) -> None:
-        """Tell how many actions are done, and what is done for the next one."""
+        """Report how many actions are done, and the phase of the next one."""
         if self._progress is None:
             return
         most, phases = self._config.actions, ("look", "plan", "act")
@@ -200,7 +200,7 @@ class Flattening:
     def _advance(
         self, store: EpisodeStore, shown: Recording, estimate: Estimate | None, watch: Watch | None
     ) -> tuple[Recording, Estimate | None]:
-        """Decide, act, look; or end the episode."""
+        """Decide, act and observe, or end the episode."""
         number = len(store.steps) - 1
         row = store.steps[number]
         decision = None
@@ -219,7 +219,7 @@ class Flattening:
         self._tell(number, "act")
         execution = self._robot.execute(decision.action)
         if not execution.error:
-            # After a fault nothing moves until somebody has looked.
+            # After a fault the arm must not move until a person has looked.
             self._robot.home()
         frames = [*execution.film, self._robot.observe()]
         recording = write_step(
@@ -231,7 +231,7 @@ class Flattening:
         return recording, self._finish_step(store, recording, row)
 
     def _decide(self, shown: Recording, estimate: Estimate | None, number: int) -> Decision:
-        """Return the next action that the robot can carry out."""
+        """Return the decision, with the best action that the robot can carry out."""
         rng = np.random.default_rng([_OF_EPISODES, self._seed, number, 0])
         seen = seen_cloth(shown, observe(shown, shown.frames[-1]))
         if self._planner is None:
@@ -264,7 +264,7 @@ class Flattening:
     def _finish_step(
         self, store: EpisodeStore, shown: Recording, row: dict[str, Any]
     ) -> Estimate | None:
-        """Perceive, measure, and write everything down; the step is finished then."""
+        """Perceive and measure the cloth, and write the finished step."""
         clock, cpu = time.perf_counter(), time.process_time()
         estimate = None if self._perception is None else self._perception.perceive(shown)
         row["perception_s"] = time.perf_counter() - clock
@@ -286,7 +286,7 @@ class Flattening:
         return estimate
 
     def _ended(self, store: EpisodeStore, row: dict[str, Any]) -> str:
-        """Return why the episode is over; empty when it is not."""
+        """Return why the episode is over; empty if it is not."""
         flat = row["flat_m2"]
         if flat is not None and row["seen_m2"] >= ENOUGH * flat:
             return "flat"
@@ -317,10 +317,10 @@ def improvement(steps: Sequence[dict[str, Any]], key: str = "true_m2") -> list[f
 
     Args:
         steps: rows of an episode.
-        key: "true_m2", or "seen_m2" where no truth is.
+        key: "true_m2", or "seen_m2" if there is no truth.
 
     Raises:
-        InvalidRecordingError: coverage or the flat area are not known.
+        InvalidRecordingError: the coverage or the flat area is unknown.
     """
     first = steps[0]
     flat, start = first["flat_m2"], first[key]

@@ -1,7 +1,7 @@
-"""Where the cloth is, before each action: the network, or a named control.
+"""Estimate the cloth state before each action, with the network or a named control.
 
-Perceptions use recordings and weights only, except the control `truth`: it gets the true cloth from
-a simulated robot, and all its results are labeled "control".
+A perception uses only recordings and weights. The exception is the control `truth`, which gets the
+true cloth from a simulated robot; all its results are labeled "control".
 """
 
 import logging
@@ -30,15 +30,15 @@ TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
 
 @dataclass(frozen=True)
 class PerceptionConfig(Checked):
-    """How the cloth is found.
+    """Settings of the perception.
 
     Attributes:
-        name: "network": reconstructed anew from each picture; "truth": the control.
-        weights: file with the network's weights; empty: those that come with the package, if any.
+        name: "network": reconstruct the cloth from each picture; "truth": the control.
+        weights: file with the network's weights; empty: those shipped with the package, if any.
         template: file of the garment's own template (`clothtrack garment`); empty: a garment of
-            usual cut, in the size that the recording says.
+            usual cut, in the size given by the recording.
         refined: fine-tune the network's mesh to the picture.
-        vertex_count: of the network's mesh, about.
+        vertex_count: approximate vertex count of the network's mesh.
     """
 
     name: PerceptionName = "network"
@@ -50,16 +50,16 @@ class PerceptionConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """One belief of where the cloth is.
+    """Estimated cloth state.
 
     Attributes:
         flat: the garment at rest, on the table [m]; canonical coordinates filled.
-        positions: its vertices [m].
+        positions: estimated vertex positions [m].
         source: "network", or "control: truth".
-        expected_error_m: mean error of the vertices that the network expects [m]; None where
-            nothing says.
-        opposite: the vertices with their layers in the opposite order [m], where that is as likely;
-            None: it is not.
+        expected_error_m: mean vertex error predicted by the network [m]; None if there is no
+            prediction.
+        opposite: vertex positions with the layers in the opposite order [m], if that order is
+            equally likely; otherwise None.
     """
 
     flat: ClothMesh
@@ -71,21 +71,21 @@ class Estimate:
 
 @runtime_checkable
 class Perception(Protocol):
-    """Finds the cloth."""
+    """Estimator of the cloth state."""
 
     def perceive(self, recording: Recording) -> Estimate:
-        """Return where the cloth is believed to be in the recording's last picture."""
+        """Return the estimated cloth state in the recording's last picture."""
         ...
 
 
 class NetworkPerception:
-    """The network's mesh of the last picture, fine-tuned to it. Needs [learn] and weights."""
+    """Perception by the network, from the last picture. Needs [learn] and weights."""
 
     def __init__(self, kind: str, config: PerceptionConfig, *, device: str = "cpu") -> None:
         """Load the networks.
 
         Raises:
-            InvalidResultError: there are no weights, or not for this garment.
+            InvalidResultError: there are no weights, or none for this garment.
         """
         from clothtrack.reconstruction.model_loading import load_model
 
@@ -95,10 +95,10 @@ class NetworkPerception:
         self._template = read_template(Path(config.template)) if config.template else None
 
     def perceive(self, recording: Recording) -> Estimate:
-        """Reconstruct the last picture alone.
+        """Reconstruct the cloth from the last picture alone.
 
         Raises:
-            InvalidRecordingError: there is no cloth in the picture, or no mesh comes of it.
+            InvalidRecordingError: the picture shows no cloth, or the network makes no mesh.
         """
         from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
         from clothtrack.reconstruction.depth_input import DepthInput
@@ -124,16 +124,16 @@ class NetworkPerception:
             )
         positions = result.mesh.vertices.astype(np.float64)
         flat = laid_flat(rest, positions, recording.table, RESTING_HEIGHT_M)
-        # Depth hardly tells a fold that lies on top from one that lies below.
+        # Depth hardly distinguishes a fold on top from a fold below.
         opposite = None if result.opposite is None else result.opposite()
         return Estimate(flat, positions, "network", result.expected_error_m, opposite)
 
 
 class _ControlPerception:
-    """The true cloth: the upper bound of all perception, and no result."""
+    """Control that returns the true cloth; an upper bound for perception, not a result."""
 
     def __init__(self, true_cloth: TrueCloth) -> None:
-        """Ask a simulated robot for the true cloth."""
+        """Set the function that returns the simulated robot's true cloth."""
         self._true_cloth = true_cloth
 
     def perceive(self, recording: Recording) -> Estimate:
@@ -150,11 +150,12 @@ def perception_of(
     true_cloth: TrueCloth | None = None,
     device: str = "cpu",
 ) -> Perception:
-    """Return the perception that a configuration names; `true_cloth` is for the control only.
+    """Return the configured perception; `true_cloth` is for the control only.
 
     Raises:
-        InvalidConfigError: the control is asked for where no truth is, or a GPU for the network.
-        InvalidResultError: there are no weights, or not for this garment.
+        InvalidConfigError: the control is requested without a truth, or the network without its
+            extra or GPU.
+        InvalidResultError: there are no weights, or none for this garment.
     """
     if config.name == "truth":
         if true_cloth is None:

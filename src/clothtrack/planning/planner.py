@@ -1,4 +1,4 @@
-"""Which pick-and-place comes next: try many in the dynamics, take the one that covers most.
+"""Planner that picks the pick-and-place with the largest predicted coverage.
 
 Random shooting as in the paper (Sec. IV-B.2): sample actions, roll each out, take the best. A
 preference for places off the cloth is added.
@@ -26,20 +26,20 @@ from clothtrack.planning.planning_dynamics import PlannedCloth, PlanningDynamics
 from clothtrack.planning.reward import coverage
 
 _BOTH_ORDERS = 30
-"""So many actions, the best with the layers as they are believed to lie, are rolled out with the
-opposite order, too. Of 15 decisions all took one of the best 26 of 100."""
+"""Number of actions, the best with the estimated layer order, that are also rolled out with the
+opposite order. All of 15 decisions took one of the best 26 of 100."""
 
 
 @dataclass(frozen=True)
 class PlannerConfig(Checked):
-    """How an action is chosen.
+    """Settings of the planner.
 
     Attributes:
-        candidates: actions that are tried, beside doing nothing; 100 in the paper.
-        strip_m: a place farther off the cloth is preferred, as if a strip of cloth this wide came
-            along to it [m]; 0: what the dynamics promise counts alone. They promise too much for
-            places on the cloth and beside it (docs/flattening.md).
-        space: which actions are tried.
+        candidates: number of actions tried, besides no action; 100 in the paper.
+        strip_m: preference for places off the cloth, as the width of an imagined strip of cloth
+            that covers the distance to the place [m]; 0: only the predicted gain counts. The
+            dynamics predict too much for places on and beside the cloth (docs/flattening.md).
+        space: settings of the sampled actions.
     """
 
     candidates: Count = 100
@@ -49,14 +49,14 @@ class PlannerConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What is believed of the cloth.
+    """Estimated cloth state used by the planner.
 
     Attributes:
         flat: the garment at rest [m], with canonical coordinates.
-        positions: its vertices now [m], world frame.
-        kind: the garment.
-        opposite: where they are if the layers lie in the opposite order [m], which is held to be as
-            likely; None: it is not.
+        positions: current vertex positions [m], world frame.
+        kind: kind of garment.
+        opposite: vertex positions with the layers in the opposite order [m], if that order is
+            equally likely; otherwise None.
     """
 
     flat: ClothMesh
@@ -67,15 +67,15 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What was chosen, and from what.
+    """Chosen action, and its alternatives.
 
     Attributes:
-        action: the best; None when no action keeps the limits.
-        gain_m2: coverage that it is expected to add [m^2].
+        action: the best action; None if no action is within the limits.
+        gain_m2: predicted gain in coverage [m^2].
         candidates: every action that was tried, the best first.
-        gains_m2: expected gain of each [m^2]; of the best it is the mean over both orders of the
-            layers, where either is as likely.
-        worth_m2: what each is chosen by: its gain, and the strip to its place [m^2].
+        gains_m2: predicted gain of each [m^2]; for the best candidates, the mean over both layer
+            orders if they are equally likely.
+        worth_m2: utility of each: its gain plus the strip to its place [m^2].
         seconds: wall-clock time of the decision [s].
         cpu_s: processor time of the decision [s].
     """
@@ -92,19 +92,20 @@ class Decision:
 def ranked(
     gains_m2: Float[np.ndarray, " actions"], worth_m2: Float[np.ndarray, " actions"]
 ) -> Int[np.ndarray, " actions"]:
-    """Return the numbers of the actions, the best first: those that promise a gain, by worth.
+    """Return the indices of the actions, the best first.
 
-    Cloth that is not flat can be flattened: where the mesh promises nothing, it is wrong, and what
-    is worth most is done all the same.
+    Actions with a positive predicted gain come first, then all others, each by utility. If no
+    action has a predicted gain, the action of largest utility is still executed: cloth that is not
+    flat can be flattened, so the mesh must be wrong.
     """
     return np.lexsort((-worth_m2, gains_m2 <= 0.0))
 
 
 class Planner:
-    """Chooses actions for one garment after another; coarse meshes are kept between decisions."""
+    """Planner for any number of garments; caches coarse meshes between decisions."""
 
     def __init__(self, dynamics: PlanningDynamics, config: PlannerConfig | None = None) -> None:
-        """Choose by what these dynamics predict."""
+        """Set the dynamics and the configuration."""
         self.config = config or PlannerConfig()
         self._dynamics = dynamics
         self._coarse: list[tuple[ClothMesh, Coarsener]] = []
@@ -113,9 +114,9 @@ class Planner:
         """Choose the next action.
 
         Args:
-            hypothesis: where the cloth is believed to be.
-            seen: what the camera sees of it: picks are there.
-            rng: source of the candidates.
+            hypothesis: estimated cloth state.
+            seen: visible cloth, on which the picks lie.
+            rng: random generator of the candidates.
         """
         clock, cpu = time.perf_counter(), time.process_time()
         cloth = self._coarsened(hypothesis, seen.table_height_m)
@@ -148,7 +149,7 @@ class Planner:
     def gains(
         self, hypothesis: Hypothesis, seen: SeenCloth, actions: Sequence[PickPlace]
     ) -> Float[np.ndarray, " actions"]:
-        """Return the coverage [m^2] that each action adds to doing nothing, of one order."""
+        """Return the coverage gain [m^2] of each action over no action, for one layer order."""
         cloth = self._coarsened(hypothesis, seen.table_height_m)
         if not actions:
             return np.zeros(0)
@@ -157,7 +158,7 @@ class Planner:
         return areas[1:] - (areas[0] if np.isfinite(areas[0]) else 0.0)
 
     def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
-        """Return the coarse cloth where it is believed to be; one mesh for one flat garment."""
+        """Return the coarse cloth in its estimated state, with one mesh per flat garment."""
         known = [coarsen for flat, coarsen in self._coarse if flat is belief.flat]
         coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self._dynamics.coarse)
         if not known:

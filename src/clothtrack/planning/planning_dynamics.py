@@ -1,7 +1,7 @@
-"""What a pick-and-place would do: the dynamics that a planner asks, and the simulator as one.
+"""Dynamics that predict the result of a pick-and-place, and the simulator as one of them.
 
 The solver rolls out all candidates at once, one environment each. The learned dynamics
-(`clothtrack_lab/graph_dynamics/mesh_dynamics.py`) stand behind the same protocol.
+(`clothtrack_lab/graph_dynamics/mesh_dynamics.py`) implement the same protocol.
 """
 
 import math
@@ -23,27 +23,27 @@ from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState
 
 REACH = 1.5
-"""A pick this many edges from every vertex holds nothing."""
+"""A pick more than this many edge lengths from every vertex holds nothing."""
 
 _FINE_REACH_M = 0.01
-"""Vertices of a fine cloth this near to the pick, seen from above, lie under the fingers [m]."""
+"""Horizontal distance from the pick within which fine vertices lie under the fingers [m]."""
 
 COLUMN = 0.75
-"""Vertices this many edges from the pick, seen from above, lie under it; the top one is held."""
+"""Horizontal distance from a pick [edge lengths] within which the topmost vertex is held."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedCloth:
-    """A cloth to plan with.
+    """Cloth state used in planning.
 
     Attributes:
         flat: the garment at rest; its edges are the rest lengths [m].
-        positions: where its vertices are now [m], world frame, z up.
-        table_height_m: of the table in the world [m].
-        fine: the cloth that this one is a coarse version of, which knows better what lies on top
-            [m]; None: there is none.
-        stands_for: for each vertex of the fine cloth, the vertex here that is nearest to it in the
-            flat garment.
+        positions: current vertex positions [m], world frame, z up.
+        table_height_m: height of the table in the world [m].
+        fine: vertices of the fine cloth that this one coarsens [m], which show more exactly which
+            layer is on top; None: there is none.
+        stands_for: for each vertex of the fine cloth, the nearest vertex of this one in the flat
+            garment.
     """
 
     flat: ClothMesh
@@ -55,12 +55,12 @@ class PlannedCloth:
 
 @dataclass(frozen=True)
 class LearnedDynamics:
-    """Dynamics of another package, which names them as an entry point of `clothtrack.dynamics`.
+    """Dynamics of another package, registered as an entry point of `clothtrack.dynamics`.
 
     Attributes:
-        load: from a file of weights, on a device.
-        shipped: the weights that come with them.
-        extra: what their package needs beside tracking, such as "learn".
+        load: function that loads them from a weights file, on a device.
+        shipped: weights file shipped with the package.
+        extra: extra that the package needs besides tracking, such as "learn".
     """
 
     load: "Callable[..., PlanningDynamics]"
@@ -70,31 +70,31 @@ class LearnedDynamics:
 
 @runtime_checkable
 class PlanningDynamics(Protocol):
-    """Where a cloth ends after an action: all that a planner knows of physics."""
+    """Predictor of the cloth after an action; the planner's only physics model."""
 
     @property
     def coarse(self) -> CoarseConfig:
-        """The mesh of a garment that is moved."""
+        """Settings of the coarse mesh that is rolled out."""
         ...
 
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """Return the vertices [m] at rest after each of the actions, each from the same cloth.
+        """Return the vertices [m] at rest after each action, each started from the same cloth.
 
-        None is no action. A cloth that diverges is not finite.
+        None means no action. Vertices of a diverged cloth are not finite.
         """
         ...
 
 
 @dataclass(frozen=True)
 class MotionConfig(Checked):
-    """How a planned action is carried out in the dynamics.
+    """Execution of a planned action in the dynamics.
 
     Attributes:
-        speed: highest speed of the tip [m/s]; above the robot's, since nothing swings here.
+        speed: highest speed of the tip [m/s]; above the robot's because nothing swings here.
         time_step_s: time between two points of the tip's path [s].
-        rest_s: time after the last release until the cloth is judged [s].
+        rest_s: time from the last release until the cloth is evaluated [s].
     """
 
     speed: Positive = 0.5
@@ -103,12 +103,12 @@ class MotionConfig(Checked):
 
 
 def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
-    """Return the vertex that a gripper takes at the pick; None when no cloth is there.
+    """Return the vertex that a gripper grasps at the pick; None if no cloth is there.
 
-    The topmost of those under the pick, or the nearest where the mesh has none right under it.
-    Where a fine cloth is known, its topmost point says which layer that is: of 100 candidates on a
-    crumpled shirt the coarse vertices alone took another layer in 10, and a towel's most promising
-    candidate held a point 30 cm away in the cloth.
+    The result is the topmost vertex under the pick, or the nearest if none is directly under it.
+    If a fine cloth is given, its topmost point selects the layer. With the coarse vertices alone,
+    10 of 100 candidates on a crumpled shirt grasped another layer, and a towel's best candidate
+    held a point 30 cm away in the cloth.
     """
     if cloth.fine is not None and cloth.stands_for is not None:
         gap = np.linalg.norm(cloth.fine[:, :2] - action.pick[:2], axis=1)
@@ -126,12 +126,12 @@ def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class HeldPaths:
-    """Which vertex each candidate holds, and where it takes it.
+    """Held vertex of each candidate, and its path.
 
     Attributes:
         vertices: held vertex per candidate; -1 holds nothing.
-        targets: its place [m] after each time step; constant once it is let go.
-        steps: time steps until each candidate lets go.
+        targets: its position [m] after each time step; constant after the release.
+        steps: time steps until each candidate releases.
     """
 
     vertices: np.ndarray
@@ -142,7 +142,7 @@ class HeldPaths:
     def of(
         cls, cloth: PlannedCloth, actions: Sequence[PickPlace | None], motion: MotionConfig
     ) -> "HeldPaths":
-        """Return the held vertices' paths: they keep their place beside the tip."""
+        """Return the held vertices' paths, with a constant offset to the tip."""
         held = [None if action is None else held_vertex(cloth, action) for action in actions]
         paths = [
             np.zeros((0, 3)) if action is None or vertex is None
@@ -162,14 +162,14 @@ class HeldPaths:
     def batches(self, size: int) -> list[Int[np.ndarray, " chosen"]]:
         """Return candidates in batches of about this size, sorted by duration.
 
-        Long paths last four times as long as short ones, which need not wait for them.
+        Long paths take four times as long as short ones; sorting keeps short ones from waiting.
         """
         lasts = np.where(self.vertices < 0, np.median(self.steps), self.steps)
         order = np.argsort(lasts, kind="stable")
         return np.array_split(order, math.ceil(len(order) / size))
 
     def of_candidates(self, chosen: Int[np.ndarray, " chosen"]) -> "HeldPaths":
-        """Return those of some candidates, as long as the longest of them."""
+        """Return the paths of some candidates, cut to the longest of them."""
         steps = self.steps[chosen]
         return HeldPaths(
             self.vertices[chosen], self.targets[chosen, : int(steps.max(initial=0))], steps
@@ -187,28 +187,28 @@ PLANNING_SOLVER = SolverConfig(
     rebuild_s=0.025,
     buckling=20.0,
 )
-"""How a coarse cloth moves: no contact between edges, long substeps, and sharp folds.
+"""Solver settings for a coarse cloth: no edge contact, long substeps, and sharp folds.
 
-A bend pair that resists at half its rest length would spring every fold of such long edges
-open: with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. Edges that resist a
-push as they do a pull would unfold what is crumpled between their ends: with `buckling` the
-cloth ends 24 instead of 30 mm from where it should (docs/flattening.md). Contacts are searched
-for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
+If a bend pair resisted at half its rest length, every fold of such long edges would spring open:
+with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. If edges resisted compression
+like tension, cloth crumpled between their ends would unfold: with `buckling` the cloth ends 24
+instead of 30 mm from the right place (docs/flattening.md). Contacts are searched every 25 ms, which
+takes 0.6 of the time of 10 ms and ranks actions equally well.
 """
 
 _TOGETHER = 26
-"""About how many candidates the simulator rolls out at once, those that last alike: each batch
-takes as long as its longest."""
+"""Approximate batch size of the simulator. Candidates of similar duration share a batch, because a
+batch takes as long as its longest candidate."""
 
 
 @dataclass(frozen=True)
 class SimulatorConfig(Checked):
-    """The solver as the dynamics of a planner.
+    """Settings of the solver as the dynamics of a planner.
 
     Attributes:
-        coarse: the mesh that is rolled out.
-        motion: how actions are carried out.
-        parameters: what the cloth is made of.
+        coarse: settings of the mesh that is rolled out.
+        motion: execution of actions.
+        parameters: material parameters of the cloth.
     """
 
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
@@ -219,9 +219,9 @@ class SimulatorConfig(Checked):
 
 
 class SimulatorDynamics:
-    """The cloth solver as dynamics: every candidate is one environment.
+    """The cloth solver as dynamics; every candidate is one environment.
 
-    Solvers are kept for the mesh that was asked for last, so that a decision allocates nothing.
+    Solvers for the most recent mesh are cached so that a decision allocates nothing.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class SimulatorDynamics:
         together: int = _TOGETHER,
         device: str = "cpu",
     ) -> None:
-        """Compute with this motion and material; the solver's table is that of the cloth."""
+        """Set the configuration; the cloth defines the solver's table."""
         self.config = config or SimulatorConfig()
         self.coarse = self.config.coarse
         self._settings, self._together = solver, together
@@ -244,7 +244,7 @@ class SimulatorDynamics:
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """Return the vertices [m] at rest after each of the actions."""
+        """Return the vertices [m] at rest after each action."""
         if not actions:
             return np.zeros((0, cloth.flat.vertex_count, 3))
         start = self._start(cloth)
@@ -272,7 +272,7 @@ class SimulatorDynamics:
         return solver.positions.astype(np.float64)
 
     def _start(self, cloth: PlannedCloth) -> ClothState:
-        """Return the state with the cloth where it is, on the table, for all candidates."""
+        """Return the common start state of all candidates, with the cloth on the table."""
         solver, fresh = self._solver(cloth, 1)
         solver.restore(fresh)
         placed = np.array(cloth.positions, dtype=np.float64)
@@ -283,7 +283,7 @@ class SimulatorDynamics:
         return solver.save()
 
     def _solver(self, cloth: PlannedCloth, environments: int) -> tuple[ClothSolver, ClothState]:
-        """Return a solver for so many candidates, and its state with the cloth flat."""
+        """Return a solver for this many environments, and its state with the cloth flat."""
         if cloth.flat is not self._mesh or cloth.table_height_m != self._table_height_m:
             self._mesh, self._table_height_m = cloth.flat, cloth.table_height_m
             self._solvers.clear()

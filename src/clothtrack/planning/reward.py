@@ -1,7 +1,6 @@
-"""What an action is good for: how much of the table the cloth covers, seen from above.
+"""Reward of an action: the table area that the cloth covers, seen from above.
 
-Cloth that the camera does not see counts for nothing: what has left the picture can be neither
-perceived nor picked any more.
+Cloth outside the picture does not count because it can no longer be perceived or picked.
 """
 
 import numpy as np
@@ -19,7 +18,7 @@ def coverage(
 ) -> Float[np.ndarray, " candidates"]:
     """Return the area [m^2] that each predicted cloth covers; -inf where it diverged.
 
-    Triangles that are not wholly in the camera's picture do not count; None: all do.
+    Triangles that are not wholly in the camera's picture do not count; without a camera, all count.
     """
     areas = np.full(len(positions), -np.inf)
     for index, vertices in enumerate(np.asarray(positions, dtype=np.float64)):

@@ -1,4 +1,4 @@
-"""What a picture says without any mesh: where cloth is seen, and how much of the table it hides."""
+"""Measurements of a picture without a mesh: visible cloth, and the table area that it hides."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from clothtrack.recordings.segmentation import default_segmenter, main_component
 
 
 def seen_cloth(recording: Recording, observation: Observation) -> SeenCloth:
-    """Return what actions are chosen from: cloud, first camera's picture, table's height."""
+    """Return the input of action selection: cloud, first camera and table height."""
     height = 0.0 if recording.table is None else float(recording.table.point[2])
     camera = observation.cameras[0] if observation.cameras else None
     return SeenCloth(observation.points, camera, height)
@@ -22,11 +22,11 @@ def seen_cloth(recording: Recording, observation: Observation) -> SeenCloth:
 def seen_area(recording: Recording, frame: Frame) -> float:
     """Return the area of the table [m^2] that the cloth hides from the first camera with depth.
 
-    Pixels of the cloth, each as large as it is on the table. Cloth above the table hides a little
-    more than it covers.
+    The area is the sum over cloth pixels of their area on the table. Cloth above the table hides
+    a little more than it covers.
 
     Raises:
-        InvalidRecordingError: there is no table, no picture with depth, or no cloth in it.
+        InvalidRecordingError: there is no table, no depth picture, or no cloth in it.
     """
     if recording.table is None:
         raise InvalidRecordingError(

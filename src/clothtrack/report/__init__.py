@@ -1,4 +1,4 @@
-"""Look at what happened: stills, overlay video, one offline page."""
+"""Reports: stills, overlay videos, and offline pages."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Pages of what is not a tracked trajectory: a recording, a mesh, a folder of trajectories."""
+"""Pages of other artifacts: a recording, a mesh, a folder of trajectories."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,18 +49,18 @@ _INDEX_COLUMNS = (
     ("distance", "Root mean square of visible mesh to observed points and back, at the last label"),
     ("labels", "What a person decided"),
 )
-"""Head and explanation of each column of an index."""
+"""Heading and explanation of each column of an index."""
 
 
 @dataclass(frozen=True)
 class TrajectorySummary:
-    """What an index says about one trajectory.
+    """Summary of one trajectory in an index.
 
     Attributes:
-        thumbnail: the mesh over the picture at the last label, as a data address.
-        verdict: of its worst label.
+        thumbnail: the mesh over the picture at the last label, as a data URI.
+        verdict: verdict on its worst label.
         expected_error_mm: largest expected error of its labels [mm]; NaN if unknown.
-        rms_mm: distance of visible mesh and observed points at the last label [mm]; NaN without.
+        rms_mm: distance of visible mesh and observed points at the last label [mm]; NaN if unknown.
     """
 
     thumbnail: str
@@ -71,14 +71,14 @@ class TrajectorySummary:
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """One line of an index.
+    """Row of an index.
 
     Attributes:
-        name: of the trajectory.
-        page: its report, beside the index; None where there is none.
-        description: what was tracked, or why there is no report.
-        verdicts: what a person decided about its labels.
-        summary: picture and verdict; None where there is no report.
+        name: name of the trajectory.
+        page: its report, beside the index; None if there is none.
+        description: description of the trajectory, or the reason for a missing report.
+        verdicts: a person's decisions about its labels.
+        summary: picture and verdict; None if there is no report.
     """
 
     name: str
@@ -89,11 +89,11 @@ class IndexEntry:
 
 
 def write_recording_page(recording: Recording, path: Path) -> Path:
-    """Write a page of what was recorded: pictures, observed cloth, pickers; nothing is tracked yet.
+    """Write the page of an untracked recording, with pictures, observed cloth and pickers.
 
     Raises:
         InvalidRecordingError: no frame shows any cloth.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     frames = [recording.frames[step] for step in evenly(len(recording.frames), MOST_FRAMES)]
     clouds = [thinned(observed_points(recording, frame), SCENE_POINTS) for frame in frames]
@@ -131,7 +131,7 @@ def write_recording_page(recording: Recording, path: Path) -> Path:
 
 
 def _recorded(recording: Recording, clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Figure]:
-    """Return the numbers of a recording that a reader wants first."""
+    """Return the key figures of a recording."""
     frames, cameras = recording.frames, recording.cameras
     points = f"{np.median([len(one) for one in clouds]):.0f}"
     measured = (
@@ -154,17 +154,17 @@ def write_mesh_page(
     expected_error_m: Float[np.ndarray, " vertices"] | None = None,
     verdict: Verdict | None = None,
 ) -> Path:
-    """Write a page of one mesh [m], z up, colored by the error that is expected of each vertex.
+    """Write the page of one mesh [m], z up, colored by the expected error of each vertex.
 
     Args:
         mesh: the mesh.
-        name: the page's title.
-        path: of the page.
-        expected_error_m: of each vertex [m]; None where nobody says.
-        verdict: of the mesh, shown with its evidence; None for one that nothing judged.
+        name: title of the page.
+        path: path of the page.
+        expected_error_m: expected error of each vertex [m]; None if unknown.
+        verdict: verdict on the mesh, shown with its evidence; None if there is none.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     vertices, errors = np.asarray(mesh.vertices, np.float64), expected_error_m
     scene = SceneContents(
@@ -200,7 +200,7 @@ def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
     """Write a page that links the reports of many trajectories, the largest expected error first.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     rows = "".join(_index_row(entry) for entry in sorted(entries, key=_by_expected_error))
     heads = "".join(
@@ -215,7 +215,7 @@ def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
 
 
 def _by_expected_error(entry: IndexEntry) -> tuple[bool, bool, float, str]:
-    """Sort by the largest error first, then entries without one, then those without a report."""
+    """Return the sort key: largest error first, then unknown errors, then missing reports."""
     error = float("nan") if entry.summary is None else entry.summary.expected_error_mm
     unknown = not np.isfinite(error)
     return entry.page is None, unknown, 0.0 if unknown else -error, entry.name
@@ -258,7 +258,7 @@ def _link(entry: IndexEntry) -> str:
 
 
 def summary_of(tracked: TrackedTrajectory, recording: Recording) -> TrajectorySummary:
-    """Look at the last label of a trajectory, and judge all of them."""
+    """Return the picture of a trajectory's last label, and the verdict on all labels."""
     last = tracked.actions[-1].last_frame if tracked.actions else int(tracked.frames[-1])
     step = int(np.abs(tracked.frames - last).argmin())
     config = OverlayConfig(height=2 * _THUMBNAIL_PX, cameras=1)

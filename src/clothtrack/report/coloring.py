@@ -1,4 +1,4 @@
-"""What a cloth can be colored by, per vertex: distance to the cloud, expected and true error.
+"""Colorings of a cloth per vertex: distance to the cloud, expected and true error.
 
 Only `truth_errors` uses the truth, and its title says so.
 """
@@ -27,14 +27,14 @@ _FARTHEST_CLOUD_MM = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Coloring:
-    """A number for every vertex at every frame, to be shown as a color.
+    """Value of every vertex at every frame, shown as a color.
 
     Attributes:
         key: short name.
-        title: what it is, with its unit.
-        note: how to read it.
-        limit: value that has the last color.
-        values: from 0 upwards; NaN where it is not known.
+        title: name of the value, with its unit.
+        note: help on its interpretation.
+        limit: value of the last color.
+        values: values from 0 upwards; NaN if unknown.
     """
 
     key: str
@@ -50,13 +50,13 @@ def colorings(
     judged: Sequence[LabelQuality] = (),
     truth: Truth | None = None,
 ) -> tuple[Coloring, ...]:
-    """Return everything a trajectory can be colored by, other than sides and visibility.
+    """Return all colorings of a trajectory, other than sides and visibility.
 
     Args:
-        tracked: what the tracker left.
+        tracked: the tracked trajectory.
         clouds: observed points of each frame [m].
-        judged: its labels, judged; none gives no such coloring.
-        truth: the true meshes, where somebody knows them.
+        judged: qualities of its labels; empty for no coloring by expected error.
+        truth: the true meshes, if they are known.
 
     Raises:
         InvalidResultError: the truth is of another garment or another recording.
@@ -70,7 +70,7 @@ def colorings(
 
 
 def judged_or_none(tracked: TrackedTrajectory, recording: Recording) -> tuple[LabelQuality, ...]:
-    """Return the labels, judged; empty, with a warning, where the recording does not allow it."""
+    """Return the qualities of the labels; empty, with a warning, if this fails."""
     try:
         return judge_labels(tracked, recording)
     except ClothTrackError as error:
@@ -79,7 +79,7 @@ def judged_or_none(tracked: TrackedTrajectory, recording: Recording) -> tuple[La
 
 
 def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> Coloring:
-    """Return distance [mm] of each visible vertex to the nearest observed point."""
+    """Return the distance [mm] of each visible vertex to the nearest observed point."""
     values = np.full(tracked.visible.shape, np.nan, np.float32)
     for step, points in enumerate(clouds):
         seen = tracked.visible[step]
@@ -95,7 +95,7 @@ def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_
 
 
 def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) -> Coloring:
-    """Return the error [mm] to expect of each vertex at the end of an action, over its frames."""
+    """Return each vertex's expected error [mm] at the end of an action, for all its frames."""
     values = np.full(tracked.visible.shape, np.nan, np.float32)
     for action, label in zip(tracked.actions, judged, strict=True):
         inside = (tracked.frames >= action.first_frame) & (tracked.frames <= action.last_frame)
@@ -111,7 +111,7 @@ def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) 
 
 
 def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
-    """Return the error [mm] that a network expects of each vertex of one mesh."""
+    """Return the error [mm] that a network predicts for each vertex of one mesh."""
     values = 1e3 * expected_error_m[None]
     title, note = "Expected error [mm]", "As the network says it, vertex by vertex."
     return Coloring("expected", title, note, _graded_limit(values), values)
@@ -120,7 +120,7 @@ def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
 def _true_positions(
     tracked: TrackedTrajectory, truth: Truth
 ) -> Float[np.ndarray, "frames vertices 3"]:
-    """Return where the cloth at each vertex really is [m]; NaN at frames without truth.
+    """Return the true position of each vertex [m]; NaN at frames without truth.
 
     Raises:
         InvalidResultError: truth or trajectory have no canonical coordinates.
@@ -140,7 +140,7 @@ def _true_positions(
 
 
 def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
-    """Return distance [mm] of each vertex to where its piece of cloth really is.
+    """Return the distance [mm] of each vertex to the true position of its material point.
 
     Raises:
         InvalidResultError: truth or trajectory have no canonical coordinates, or no frame in
@@ -162,7 +162,7 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
 
 
 def _graded_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
-    """Return a round number that 95 % of the values stay under; 2 at least."""
+    """Return a round number not below 95 % of the values, at least 2."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 2.0

@@ -1,4 +1,4 @@
-"""What happened over time, as small line charts in inline SVG; a page's script adds the cursor."""
+"""Line charts over time in inline SVG; a page's script adds the cursor."""
 
 import json
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ LEFT, RIGHT, TOP, BOTTOM = 46, 10, 8, 22
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One line of a chart.
+    """Line of a chart.
 
     Attributes:
-        label: what it is; empty when the chart's title says it.
-        values: one per frame; NaN leaves a gap.
-        tone: which of the page's line colors, 0 the strongest.
+        label: name of the line; empty if the chart's title says it.
+        values: one value per frame; NaN leaves a gap.
+        tone: index of the page's line color, 0 the strongest.
     """
 
     label: str
@@ -33,13 +33,13 @@ class Chart:
     """A chart over the frames of a trajectory.
 
     Attributes:
-        title: what is shown.
+        title: name of the quantity.
         unit: its unit, written after the title.
-        lines: what is drawn.
+        lines: lines of the chart.
         note: one sentence of help under the title.
-        least_top: the vertical axis reaches at least this value.
+        least_top: least upper end of the vertical axis.
         marks: frames to mark with a cross at the bottom.
-        marks_label: what a cross means.
+        marks_label: meaning of a cross.
     """
 
     title: str
@@ -96,13 +96,13 @@ def _help(chart: Chart, line: Line) -> str:
 
 
 class _Axis(NamedTuple):
-    """The vertical axis: its lowest and its highest value."""
+    """Vertical axis with its lowest and highest value."""
 
     low: float
     high: float
 
     def y(self, values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values"]:
-        """Return the vertical place of values in the drawing."""
+        """Return the vertical positions of values in the drawing."""
         share = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
         return TOP + (1.0 - share) * (HEIGHT - TOP - BOTTOM)
 
@@ -131,14 +131,14 @@ def _axis(chart: Chart) -> _Axis:
 
 
 def _round_step(span: float) -> float:
-    """Return a step of 1, 2 or 5 times a power of ten, three to six of them per span."""
+    """Return a tick step of 1, 2 or 5 times a power of ten, with three to six ticks per span."""
     rough = span / 4
     power = 10.0 ** np.floor(np.log10(rough))
     return float(power * min((1, 2, 5, 10), key=lambda factor: abs(factor - rough / power)))
 
 
 def _x(frames: Int[np.ndarray, " frames"], frame: int) -> float:
-    """Return horizontal place of a frame in the drawing."""
+    """Return the horizontal position of a frame in the drawing."""
     first, last = int(frames[0]), int(frames[-1])
     return LEFT + (float(frame) - first) / max(1, last - first) * (WIDTH - LEFT - RIGHT)
 

@@ -1,4 +1,4 @@
-"""The frame of every page: one HTML file that holds everything and may fetch nothing."""
+"""HTML document of every page: one self-contained file that may fetch nothing."""
 
 from html import escape
 from importlib.resources import files
@@ -15,11 +15,11 @@ SCRIPTS = (
     "scene_math.js", "scene_shaders.js", "scene_cloth.js", "scene_view.js", "scene_parts.js",
     "scene.js", "page_scene.js", "page_review.js", "page.js",
 )  # fmt: skip
-"""One after the other they are the script of a page; the last one starts everything."""
+"""Parts of the page's script in order; the last one starts everything."""
 
 
 def document(title: str, body: str, *, script: bool = True) -> str:
-    """Return a page with this body; without `script` nothing in it runs."""
+    """Return a page with this body; without `script` it contains no code."""
     code = f"<script>{''.join(map(_resource, SCRIPTS))}</script>" if script else ""
     return f"""<!doctype html>
 <html lang="en">
@@ -46,7 +46,7 @@ def write_document(path: Path, title: str, body: str, *, script: bool = True) ->
     """Write the page of `document` and return its path.
 
     Raises:
-        StorageError: when the disk refuses; what was at `path` before is untouched then.
+        StorageError: the disk refuses; an earlier file at `path` is then unchanged.
     """
     with atomic_file(Path(path)) as temporary:
         temporary.write_text(document(title, body, script=script), encoding="utf-8")
@@ -54,7 +54,7 @@ def write_document(path: Path, title: str, body: str, *, script: bool = True) ->
 
 
 def served_document(page: str, version: int) -> str:
-    """Return the same page as a local server gives it: it may ask that server, and nobody else."""
+    """Return the page for a local server, with permission to request data from that server only."""
     code = f"<script>{_resource('page_live.js')}</script>"
     for plain, served in (
         (_POLICY, f"{_POLICY}; connect-src 'self'"),

@@ -1,7 +1,7 @@
-"""What was observed at a frame, as a picture to draw on and as points.
+"""Observation of a frame, as a picture to draw on and as points.
 
 A view shows the first of these that exists: the color picture, the depth picture in gray, the
-point cloud projected on plain paper.
+point cloud projected on a plain background.
 """
 
 import logging
@@ -27,13 +27,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class ObservedSteps:
-    """What was observed at every step of a trajectory, and how far its mesh is from it.
+    """Observations at every step of a trajectory, and their distance from its mesh.
 
     Attributes:
         clouds: observed points [m, world] of each step.
-        rms_mm: root of half the two-way Chamfer distance [mm] of visible vertices and observed
-            points, where they were observable (`clothtrack.evaluation.results`); NaN elsewhere.
-        floor_mm: the same between two halves of the cloud [mm], which a perfect mesh would have.
+        rms_mm: root of half the two-way Chamfer distance [mm] of observable visible vertices and
+            observed points (`clothtrack.evaluation.results`); NaN without an observation.
+        floor_mm: the same between two halves of the cloud [mm], the value of a perfect mesh.
     """
 
     clouds: Sequence[Float[np.ndarray, "_ 3"]]
@@ -42,9 +42,9 @@ class ObservedSteps:
 
 
 def observed(recording: Recording, frame: Frame) -> Observation | None:
-    """Return what was observed of the cloth; None, with a warning, when it cannot be had.
+    """Return the observation of the cloth; None, with a warning, if there is none.
 
-    The run is over: a frame that cannot be read costs its picture, not the report.
+    An unreadable frame must not fail the report of a finished run.
     """
     try:
         return observe(recording, frame)
@@ -54,13 +54,13 @@ def observed(recording: Recording, frame: Frame) -> Observation | None:
 
 
 def observed_points(recording: Recording, frame: Frame) -> Float[np.ndarray, "points 3"]:
-    """Return the observed cloth of a frame [m, world]; empty when it cannot be had."""
+    """Return the observed points of a frame [m, world]; empty if there are none."""
     observation = observed(recording, frame)
     return np.empty((0, 3)) if observation is None else observation.points
 
 
 def evidence_of(tracked: TrackedTrajectory, recording: Recording) -> ObservedSteps:
-    """Look at every step of a trajectory; one observation is held at a time."""
+    """Return the observed points of all steps; hold one full observation at a time."""
     clouds, rms_mm = [], np.full(len(tracked.frames), np.nan)
     floor_mm = rms_mm.copy()
     for step in range(len(tracked.frames)):
@@ -73,7 +73,7 @@ def evidence_of(tracked: TrackedTrajectory, recording: Recording) -> ObservedSte
 
 
 def frame_of(tracked: TrackedTrajectory, recording: Recording, step: int) -> Frame:
-    """Return the recording's frame of a step; one without pictures where it is missing."""
+    """Return the recording's frame of a step; a frame without pictures if it is missing."""
     index, time_s = int(tracked.frames[step]), float(tracked.time_s[step])
     found = next((frame for frame in recording.frames if frame.index == index), None)
     return found or Frame(index, time_s)
@@ -88,7 +88,7 @@ def mesh_distance_mm(tracked: TrackedTrajectory, step: int, observation: Observa
 def thinned(
     points: Float[np.ndarray, "points 3"], count: int, *, seed: int = 0
 ) -> Float[np.ndarray, "kept 3"]:
-    """Return at most `count` of the points, chosen evenly at random."""
+    """Return at most `count` of the points, chosen uniformly at random."""
     if len(points) <= count:
         return points
     chosen = np.random.default_rng(seed).choice(len(points), count, replace=False)
@@ -106,9 +106,9 @@ def view_picture(
     camera: Camera,
     points: Float[np.ndarray, "points 3"],
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Return the RGB picture of a frame in the size of `camera`, which may be resized or nobody's.
+    """Return the RGB picture of a frame in the size of `camera`, a resized or virtual one.
 
-    `points` [m, world] are drawn when the frame has no picture of that camera's name.
+    `points` [m, world] are drawn if the frame has no picture of that camera's name.
     """
     try:
         if camera.name in frame.color:
@@ -124,7 +124,7 @@ def view_picture(
 def cloud_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Return points [m, world] on plain paper."""
+    """Return points [m, world] drawn on a plain background."""
     image = np.full((camera.height, camera.width, 3), rgb255(PAPER), dtype=np.uint8)
     pixels, depth = camera.project(np.asarray(points, dtype=np.float64))
     pixels = np.rint(pixels[depth > 1e-3]).astype(np.int64)
@@ -146,7 +146,7 @@ def _resized(
 
 
 def _gray_depth(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
-    """Return depth in gray: near is light, far is dark, nothing measured is black."""
+    """Return depth in gray: near is light, far is dark, unmeasured is black."""
     measured = depth > 0
     if not measured.any():
         return np.zeros((*depth.shape, 3), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""A tracked trajectory in other formats: arrays, meshes, a contact sheet, a video, Rerun."""
+"""Export of a tracked trajectory as arrays, meshes, a contact sheet, a video or for Rerun."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +31,7 @@ _SUFFIXES = {"sheet": ".png", "mp4": ".mp4", "rrd": ".rrd"}
 
 
 def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:  # noqa: A002
-    """Write a tracked trajectory for other programs and return where it is.
+    """Write a tracked trajectory for other programs and return its path.
 
     `npz`: one file; docs/result_format.md lists its arrays.
 
@@ -40,8 +40,8 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
     alignment. The vertex order is the same in all of them.
 
     Raises:
-        InvalidConfigError: when the format is another one.
-        StorageError: when the disk refuses or a folder of that name holds something.
+        InvalidConfigError: the format is unknown.
+        StorageError: the disk refuses, or a folder of that name is not empty.
     """
     if format not in get_args(ExportFormat):
         raise InvalidConfigError(
@@ -100,21 +100,21 @@ def export_pictures(
     rows: int = 6,
     truth: Truth | None = None,
 ) -> Path:
-    """Write a trajectory over its recording and return where it is; the suffix is added if missing.
+    """Write a trajectory drawn over its recording, and return the path with its suffix.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        out: file to write.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        out: file to write; the suffix is added if missing.
         kind: `sheet`: a PNG with `rows` frames, each observed, tracked over it, and the mesh alone;
             `mp4`: the tracked mesh over the observation; `rrd`: everything, for Rerun's viewer.
-        rows: frames on the sheet.
+        rows: number of frames on the sheet.
         truth: the true meshes; adds the error to an rrd.
 
     Raises:
         InvalidConfigError: rrd without the extra [rerun].
         InvalidResultError: the truth is of another garment or another recording.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     out = _with_suffix(out, _SUFFIXES[kind])
     if kind == "rrd":

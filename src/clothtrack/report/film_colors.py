@@ -17,16 +17,16 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 PALETTE_SIZE = 255
-"""Most colors of points: one byte each."""
+"""Largest number of point colors, so that an index fits one byte."""
 
 _DEPTH_AGREES_M = 0.02
-"""A pixel whose depth differs by more than this [m] shows something else than the point."""
+"""Depth difference above which a pixel shows something other than the point [m]."""
 
 _FILM_STEPS = 16
 """Number of frames from which the color of the cloth is taken."""
 
 _SPREADING_ROUNDS = 64
-"""Distance that colors spread into parts that no camera ever saw [edges]."""
+"""Distance that colors spread into parts that no camera saw [edges]."""
 
 _Colors = UInt8[np.ndarray, "points 3"]
 
@@ -34,7 +34,7 @@ _Colors = UInt8[np.ndarray, "points 3"]
 def _point_colors(
     recording: Recording, frame: Frame, points: Float[np.ndarray, "points 3"]
 ) -> tuple[_Colors, Bool[np.ndarray, " points"]]:
-    """Return the RGB of each point [m, world] in the pictures, and whether some picture has it."""
+    """Return the RGB of each point [m, world], and whether a picture shows the point."""
     colors = np.tile(np.array(rgb255(OBSERVED), np.uint8), (len(points), 1))
     found = np.zeros(len(points), bool)
     for camera in recording.cameras:
@@ -64,7 +64,7 @@ def _point_colors(
 def cloud_colors(
     recording: Recording, frames: Sequence[Frame], clouds: Sequence[Float[np.ndarray, "_ 3"]]
 ) -> list[UInt8[np.ndarray, "_ 3"]]:
-    """Return the RGB of the observed points of each frame; none where no frame has a picture."""
+    """Return the RGB of the observed points per frame; empty if no frame has a picture."""
     if not any(frame.color for frame in frames):
         return []
     pairs = zip(frames, clouds, strict=True)
@@ -74,7 +74,7 @@ def cloud_colors(
 def vertex_colors(
     tracked: TrackedTrajectory, recording: Recording
 ) -> UInt8[np.ndarray, "vertices 3"] | None:
-    """Return the RGB of each vertex, the mean over frames that show it; None without color.
+    """Return the mean RGB of each vertex over frames that show it; None without color.
 
     A vertex that no frame shows takes the color of its neighbors.
     """
@@ -97,7 +97,7 @@ def vertex_colors(
 def few_colors(
     colors: Float[np.ndarray, "points 3"], count: int
 ) -> tuple[UInt8[np.ndarray, "kept 3"], UInt8[np.ndarray, " points"]]:
-    """Return the `count` most frequent colors, and the nearest of them to each point."""
+    """Return the `count` most frequent colors, and the index of the nearest for each point."""
     if not len(colors):
         return np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8)
     coarse = (colors.astype(np.int64) >> 3) @ (1 << 10, 1 << 5, 1)

@@ -1,6 +1,6 @@
 """One offline page per flattening episode: pictures with the next action's arrow, and the curve.
 
-What came about with a control is labeled so at the top, in the title and in every figure.
+An episode with a control is labeled as such at the top, in the title and in every figure.
 """
 
 import time
@@ -33,7 +33,7 @@ from clothtrack.report.viewpoint import three_quarter_view
 
 CONTROL = "control, not a result"
 FAREWELL_S = 1.5
-"""An open page asks every second whether there is a newer one."""
+"""Time that an open page has to load the last version [s]; it checks every second."""
 
 
 def write_flattening_report(
@@ -43,12 +43,12 @@ def write_flattening_report(
 
     Args:
         store: the episode, finished or not.
-        path: of the page.
-        coming: the action that is carried out next, where one is.
+        path: path of the page.
+        coming: the next action, if there is one.
 
     Raises:
         InvalidRecordingError: a step cannot be read.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     label, config = store.document["asked"]["label"], store.document["asked"]["config"]
     control = f" ({CONTROL})" if label["control"] else ""
@@ -71,7 +71,7 @@ def write_flattening_report(
 def watched_live(
     port: int | None = None, *, opened: Callable[[str], None] | None = None
 ) -> Iterator[Watch]:
-    """Serve the page of the running episode (`live_page`), and yield what each step calls."""
+    """Serve the page of the running episode (`live_page`), and yield its step callback."""
     with live_page("flattening", port, opened=opened) as page, TemporaryDirectory() as folder:
 
         def show(store: EpisodeStore, decision: Decision | None) -> None:
@@ -79,16 +79,16 @@ def watched_live(
             page.show(write_flattening_report(store, Path(folder) / "page.html", coming=coming))
 
         yield show
-        # So that an open page loads the last step.
+        # Wait until an open page has loaded the last step.
         time.sleep(FAREWELL_S)
 
 
 def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
-    """Write all pictures of an episode with their arrows as one PNG, `columns` in a row.
+    """Write all pictures of an episode with their arrows as one PNG, `columns` per row.
 
     Raises:
         InvalidRecordingError: a step cannot be read.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     width, height = 320, 240
     tiles = []
@@ -103,7 +103,7 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
 
 
 def _figures(store: EpisodeStore) -> list[Figure]:
-    """Return the numbers that a reader wants first."""
+    """Return the key figures of an episode."""
     steps = store.steps
     key = "seen_m2" if steps[0]["true_m2"] is None else "true_m2"
     share = "Area that the cloth covers on the table, of what it covers when it is flat."
@@ -121,13 +121,13 @@ def _figures(store: EpisodeStore) -> list[Figure]:
 
 
 def _share(row: dict[str, Any]) -> str:
-    """Return coverage over that of the flat cloth, the true one where it is known."""
+    """Return the coverage relative to the flat cloth, from the truth if it is known."""
     area = row["seen_m2"] if row["true_m2"] is None else row["true_m2"]
     return f"{100.0 * area / row['flat_m2']:.0f} %" if row["flat_m2"] else f"{1e4 * area:.0f} cm2"
 
 
 def _curve(steps: Sequence[dict[str, Any]]) -> str:
-    """Return coverage after each action as a drawing: seen, and true where it is known."""
+    """Return a drawing of the coverage after each action: seen, and true if it is known."""
     flat = steps[0]["flat_m2"] or max(row["seen_m2"] for row in steps)
     width, height, left, low = 420, 190, 34, 160
 
@@ -162,7 +162,7 @@ def _curve(steps: Sequence[dict[str, Any]]) -> str:
 
 
 def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
-    """Return the card of a step: picture, belief, and what was expected of the action before it."""
+    """Return the card of a step: picture, estimate, and predicted gain of the action before it."""
     row = store.steps[number]
     stills = [(_picture(store, number, coming), "What the camera saw, and the next action")]
     recording = read_recording(store.recording_path(number))
@@ -202,7 +202,7 @@ def _picture(store: EpisodeStore, number: int, coming: PickPlace | None = None) 
 
 
 def _belief(estimate: Estimate, recording: Recording) -> Picture:
-    """Return the believed mesh from the side and above."""
+    """Return a picture of the estimated mesh from the side and above."""
     view = three_quarter_view(estimate.positions, width=480, height=360)
     shader = Shader(
         estimate.flat.faces, view, table=recording.table, config=ShadingConfig(supersampling=2)

@@ -1,4 +1,4 @@
-"""Which layer of a folded cloth a vertex belongs to, so that layers can be shown apart."""
+"""Layer number of each vertex in a folded cloth, used to draw layers apart."""
 
 from itertools import chain
 
@@ -10,23 +10,23 @@ from scipy.spatial import cKDTree
 from clothtrack.geometry.mesh import ClothMesh
 
 SMOOTHING_ROUNDS = 6
-"""Averages over the neighbors: a rank jumps where a lower layer ends, and becomes a slope."""
+"""Rounds of averaging over neighbors, which turn a jump of the rank into a slope."""
 
 ASIDE = 0.003
 """Offset from a vertex at which layers are counted, as a share of the length of an edge."""
 
 
 class Layers:
-    """Counts the layers under every vertex of one mesh, whatever its pose."""
+    """Counter of the layers under every vertex of one mesh in any pose."""
 
     def __init__(self, mesh: ClothMesh, axis: Float[np.ndarray, " 3"]) -> None:
-        """Prepare for a mesh whose layers lie on one another along `axis`, a unit vector."""
+        """Prepare for a mesh whose layers are stacked along `axis`, a unit vector."""
         self._faces = np.asarray(mesh.faces)
         self._axis = np.asarray(axis, np.float64)
         first = np.cross(self._axis, np.eye(3)[int(np.argmin(np.abs(self._axis)))])
         first /= np.linalg.norm(first)
         self._across = np.stack([first, np.cross(self._axis, first)], axis=1)
-        # Two layers of one pattern may lie vertex on vertex; a step aside lands inside a triangle.
+        # Vertices of two equal layers may coincide, so test a point offset into a triangle.
         self._aside = ASIDE * float(np.median(mesh.edge_lengths)) * np.array([0.83, 0.56])
         count, ends = mesh.vertex_count, mesh.edges
         both = np.concatenate([ends, ends[:, ::-1], np.repeat(np.arange(count)[:, None], 2, 1)])
@@ -34,14 +34,14 @@ class Layers:
         self._averages = weights.multiply(1.0 / weights.sum(axis=1)[:, None]).tocsr()
 
     def ranks(self, vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
-        """Return how many layers lie under each vertex, with slopes where their number changes."""
+        """Return the number of layers under each vertex, with slopes where it changes."""
         ranks = self.counts(vertices)
         for _ in range(SMOOTHING_ROUNDS):
             ranks = self._averages @ ranks
         return ranks
 
     def counts(self, vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
-        """Return how many triangles lie under each vertex, those it belongs to not counted."""
+        """Return the number of triangles under each vertex, except those it belongs to."""
         vertices = np.asarray(vertices, np.float64)
         flat, height = vertices @ self._across, vertices @ self._axis
         face, vertex = self._near(flat)

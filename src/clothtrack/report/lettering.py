@@ -1,4 +1,4 @@
-"""Words and scales on pictures, with OpenCV's stroked letters."""
+"""Text and color scales on pictures, with OpenCV's stroke fonts."""
 
 import cv2
 import numpy as np
@@ -26,14 +26,14 @@ def write(
 
 
 def text_width(text: str, *, height_px: float = 12.0) -> int:
-    """Return how many pixels `text` takes."""
+    """Return the width of `text` [pixels]."""
     weight = 1 if height_px < 16 else 2
     (width, _), _ = cv2.getTextSize(text, _FONT, height_px / 21.0, weight)
     return int(width)
 
 
 def caption(width: int, left: str, right: str = "", *, height: int = 30) -> Picture:
-    """Return a strip with words at its left and right end; the right ones go if it is full."""
+    """Return a strip with text at both ends; the right text is omitted if it does not fit."""
     strip = np.full((height, width, 3), rgb255(PAPER), dtype=np.uint8)
     size = 0.36 * height
     base = round(0.5 * height + 0.5 * size)
@@ -45,7 +45,7 @@ def caption(width: int, left: str, right: str = "", *, height: int = 30) -> Pict
 
 
 def heat_legend(image: Picture, label: str, limit: float) -> None:
-    """Draw the scale of `palette.heat` from 0 to `limit` into the lower left of the image."""
+    """Draw the scale of `palette.heat` from 0 to `limit` at the lower left of the image."""
     height, width = image.shape[:2]
     bar_width, bar_height = max(60, width // 4), max(6, height // 50)
     left, top = 14, height - bar_height - 26

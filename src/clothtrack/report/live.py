@@ -1,4 +1,4 @@
-"""Pages on a local server: decisions about labels are saved, and newer pages show at once."""
+"""Pages on a local server, which save decisions about labels and load newer versions."""
 
 import tempfile
 import threading
@@ -19,26 +19,26 @@ from clothtrack.report.local_page import WAKE_S, Answer, serving, wait_for
 _WAITING = '<p class="lead">The page is being written; it shows itself when it is ready.</p>'
 
 Write = Callable[[Path], Path]
-"""Write a page to the given path and return that path."""
+"""Function that writes a page to the given path and returns that path."""
 
 
 @dataclass
 class Decisions:
-    """Decisions about labels, and the file to which each further decision is written."""
+    """Decisions about labels, with the file to which each new decision is written."""
 
     review: LabelReview
     path: Path
 
     def take(self, action: Any, verdict: Any) -> None:
-        """Write one decision; it counts only when it is on the disk.
+        """Write one decision to disk, then apply it.
 
         Args:
-            action: number of the action, as a page sent it.
-            verdict: a `Verdict`, as a page sent it.
+            action: number of the action, as sent by a page.
+            verdict: a `Verdict`, as sent by a page.
 
         Raises:
             InvalidConfigError: there is no such label, or no such verdict.
-            StorageError: the disk refuses; what was decided before stays.
+            StorageError: the disk refuses; earlier decisions are kept.
         """
         if action not in range(len(self.review.labels)) or verdict not in get_args(Verdict):
             raise InvalidConfigError(
@@ -51,20 +51,20 @@ class Decisions:
 
 
 class LivePage:
-    """A served page with a version number, and the decisions that are made in it."""
+    """Served page with a version number, and the decisions made in it."""
 
     def __init__(self, name: str, decisions: Decisions | None = None) -> None:
-        """Show that a page of this name is being written."""
+        """Show a placeholder while the page of this name is being written."""
         self._name, self._decisions = name, decisions
         self._page, self._version = document(name, _WAITING, script=False), 0
         self._lock = threading.Lock()
 
     def show(self, path: Path) -> None:
-        """Serve the page in this file from now on; open browsers load it."""
+        """Serve the page in this file from now on; open browsers reload it."""
         self._renew(path.read_text(encoding="utf-8"))
 
     def say(self, text: str) -> None:
-        """Serve a page with this text, such as the reason why there is no report."""
+        """Serve a page with this text, such as the reason for a missing report."""
         self._renew(document(self._name, f'<p class="lead">{escape(text)}</p>', script=False))
 
     def _renew(self, page: str) -> None:
@@ -72,7 +72,7 @@ class LivePage:
             self._page, self._version = page, self._version + 1
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
-        """Return the page, its version, or the decisions so far."""
+        """Answer a request for the page, its version, or the decisions so far."""
         del query
         with self._lock:
             if path == "/":
@@ -84,7 +84,7 @@ class LivePage:
         return None
 
     def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
-        """Take a decision and return all decisions."""
+        """Apply a decision and return all decisions."""
         if path != "/review" or self._decisions is None:
             return None
         with self._lock:
@@ -100,13 +100,13 @@ def live_page(
     decisions: Decisions | None = None,
     opened: Callable[[str], None] | None = None,
 ) -> Iterator[LivePage]:
-    """Serve a page on 127.0.0.1 while the block runs; the block says what it shows.
+    """Serve a page on 127.0.0.1 while the block runs; the block sets its content.
 
     Args:
         name: title of the page until the block shows one.
-        port: of the server; any free one by default.
-        decisions: about the labels in the page; without it nothing can be decided.
-        opened: called with the address before anything else happens.
+        port: port of the server; any free one by default.
+        decisions: decisions about the labels in the page; None: the page accepts none.
+        opened: called first, with the address.
 
     Raises:
         InvalidConfigError: there is no such port, or it is taken.
@@ -139,14 +139,14 @@ def serve(
 
 @dataclass(frozen=True)
 class Report:
-    """A page that is written when somebody looks at it, and the decisions about its labels."""
+    """Page that is written when it is first opened, and the decisions about its labels."""
 
     write: Write
     decisions: Decisions
 
 
 class _Folder:
-    """Answers for the index at / and for the report NAME at /NAME/."""
+    """Request handler for the index at / and the report NAME at /NAME/."""
 
     def __init__(self, title: str) -> None:
         self.index = LivePage(title)
@@ -155,12 +155,12 @@ class _Folder:
         self._known: set[str] = set()
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
-        """Return the index, a report, or the answer of one of them."""
+        """Answer a request for the index or a report."""
         name, inside, rest = self._split(path)
         if name not in self.pages:
             return self.index.ask(path, query)
         if not inside:
-            # What the page asks for lies below it.
+            # Requests of the page are relative to this address.
             return Answer.page(f'<meta http-equiv="refresh" content="0; url=/{quote(name)}/">')
         if name not in self._known:
             self._known.add(name)
@@ -168,15 +168,15 @@ class _Folder:
         return self.pages[name].ask(f"/{rest}", query)
 
     def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
-        """Take a decision about a label of a report."""
+        """Apply a decision about a label of a report."""
         name, inside, rest = self._split(path)
         return self.pages[name].tell(f"/{rest}", message) if inside and name in self.pages else None
 
     @staticmethod
     def _split(path: str) -> tuple[str, str, str]:
-        """Return the report that a path is in, a slash if it goes on, and what follows.
+        """Return the report name of a path, a slash if it continues, and the rest.
 
-        The index links a report as the file NAME.html, as it does on a disk.
+        The index links a report as the file NAME.html, as on disk.
         """
         name, inside, rest = unquote(path.removeprefix("/")).partition("/")
         return (name if inside else name.removesuffix(".html")), inside, rest
@@ -192,9 +192,9 @@ def serve_folder(
     """Serve an index and its reports on 127.0.0.1 until Ctrl-C is pressed.
 
     Args:
-        title: of the index until it is written.
+        title: title of the index until it is written.
         load: returns the writer of the index, with links to NAME.html, and the reports by name.
-        port: of the server; any free one by default.
+        port: port of the server; any free one by default.
         opened: called with the address before anything is loaded.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The page of `track --live`: the mesh as it grows, over the points that it is aligned to."""
+"""The page of `track --live`: the newest mesh over the points that it is aligned to."""
 
 import threading
 import time
@@ -29,7 +29,7 @@ _LAST_WORDS_S = 3.0
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """One mesh, and what it was tracked from."""
+    """A mesh with its recording and frame."""
 
     recording: Recording
     mesh: ClothMesh
@@ -51,10 +51,10 @@ class _Shown:
 
 
 class LiveTracking:
-    """Holds the newest mesh and packs it only when a page asks, so that tracking never waits."""
+    """Holder of the newest mesh, which is packed only on request so that tracking never waits."""
 
     def __init__(self, words: Callable[[], str]) -> None:
-        """Begin with no mesh; `words` says how far the tracking is."""
+        """Begin without a mesh; `words` returns the progress of the tracking."""
         self._words, self._newest = words, None
         self._known, self._version, self._asked_s = 0, 0, float("-inf")
         self._end = ""
@@ -68,16 +68,16 @@ class LiveTracking:
         frame: Frame,
         positions: Float[np.ndarray, "vertices 3"],
     ) -> None:
-        """Take the newest mesh (`clothtrack.tracking.protocols.Watch`)."""
+        """Store the newest mesh (`clothtrack.tracking.protocols.Watch`)."""
         with self._lock:
             if self._newest is None or mesh is not self._newest.mesh:
-                # Another cloth is another page.
+                # A new cloth needs a new page.
                 self._version += 1
             self._newest = _Shown(recording, mesh, frame, np.array(positions, np.float32))
             self._known += 1
 
     def end(self, words: str) -> None:
-        """Say how it ended, and wait a moment for a page that is open to hear it."""
+        """Set the final message, and wait a moment until an open page has it."""
         with self._lock:
             self._end, open_page = words, time.monotonic() - self._asked_s < _LAST_WORDS_S
         if open_page:
@@ -103,7 +103,7 @@ class LiveTracking:
         return served_document(document(newest.recording.name, lead + scene), version)
 
     def _now(self, newest: _Shown | None, known: int, after: int) -> dict[str, Any]:
-        """Return the state in words, and the mesh if the page does not have it; -1: it has none."""
+        """Return the progress, and the newest mesh unless `after` is its number or -1."""
         with self._lock:
             self._asked_s, end = time.monotonic(), self._end
         answer: dict[str, Any] = {"words": end or self._words(), "over": bool(end), "known": known}
@@ -122,9 +122,9 @@ def live_tracking(
     """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`).
 
     Args:
-        words: says how far the tracking is.
-        port: of the server; any free one by default.
-        opened: called with the address before anything else happens.
+        words: function that returns the progress of the tracking.
+        port: port of the server; any free one by default.
+        opened: called first, with the address.
     """
     page = LiveTracking(words)
     with serving(page.ask, lambda *_: None, port) as address:

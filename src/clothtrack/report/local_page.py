@@ -1,8 +1,8 @@
-"""A small web server for pages that ask: on 127.0.0.1 only, and only for its own pages.
+"""A small web server on 127.0.0.1 for interactive pages, which answers only its own pages.
 
-Another page that is open in the same browser cannot reach it: requests must name this server (no
-DNS rebinding) and, where they say which site they come from, come from it; what changes something
-must be sent as JSON (no foreign form).
+Other pages in the same browser cannot reach it. Requests must name this server (against DNS
+rebinding) and must not state another site as their origin. Requests that change something must be
+sent as JSON (against foreign forms).
 """
 
 import json
@@ -23,8 +23,8 @@ logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 WAKE_S = 0.5
-"""Whoever waits for Ctrl-C wakes this often [s]. Of some 400 interrupted pages one had gone on,
-probably because another thread was handed the signal, which wakes nobody."""
+"""Wake-up period while waiting for Ctrl-C [s]. One of about 400 interrupted pages kept running,
+probably because another thread received the signal, which does not wake the waiting one."""
 
 _LONGEST_MESSAGE = 1 << 16
 _HIGHEST_PORT = 65_535
@@ -32,7 +32,7 @@ _HIGHEST_PORT = 65_535
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer to a request: content, MIME type, and status of HTTP."""
+    """Answer to a request: content, MIME type, and HTTP status."""
 
     body: bytes
     kind: str = "application/json"
@@ -40,12 +40,12 @@ class Answer:
 
     @classmethod
     def of(cls, content: object, status: int = 200) -> "Answer":
-        """Return content that JSON holds."""
+        """Return an answer with JSON content."""
         return cls(json.dumps(content).encode(), status=status)
 
     @classmethod
     def page(cls, html: str) -> "Answer":
-        """Return a page."""
+        """Return an answer with an HTML page."""
         return cls(html.encode(), "text/html; charset=utf-8")
 
 
@@ -54,14 +54,14 @@ Tell = Callable[[str, Mapping[str, Any]], Answer | None]
 
 
 def _refusal(headers: Message, port: int) -> str | None:
-    """Return why a request is not answered; None when no other web site sent it.
+    """Return why a request is refused; None unless another web site sent it.
 
-    Browsers name the site that asks in Origin. Pictures and scripts are asked for without it; newer
-    browsers say then in Sec-Fetch-Site that it is another site. A link to the page may be followed.
+    Browsers name the requesting site in Origin. Requests for pictures and scripts lack it, but then
+    newer browsers mark another site in Sec-Fetch-Site. Following a link to the page is allowed.
     """
     hosts, origins = (headers.get_all(name, []) for name in ("Host", "Origin"))
     site, mode = headers.get("Sec-Fetch-Site", "none"), headers.get("Sec-Fetch-Mode")
-    # Browsers leave out the port that is usual for HTTP.
+    # Browsers omit the default port of HTTP.
     ends = (":80", "") if port == 80 else (f":{port}",)
     own = {f"{name}{end}" for name in (HOST, "localhost") for end in ends}
     if (
@@ -79,9 +79,9 @@ def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
     """Serve while the block runs, and yield the address.
 
     Args:
-        ask: answers GET: path and query; None when there is no such thing.
-        tell: answers POST: path and the JSON object sent.
-        port: of the server; any free one by default.
+        ask: answers GET from path and query; None for an unknown path.
+        tell: answers POST from path and the JSON object.
+        port: port of the server; any free one by default.
 
     Raises:
         InvalidConfigError: there is no such port, or it is taken.
@@ -115,20 +115,20 @@ def serve_until(
 ) -> None:
     """Serve (`serving`) until `stop` is set or Ctrl-C is pressed; `opened` gets the address."""
     with serving(ask, tell, port) as address, suppress(KeyboardInterrupt):
-        # Whoever has read the address may press Ctrl-C before `opened` returns.
+        # The user may see the address and press Ctrl-C before `opened` returns.
         if opened is not None:
             opened(address)
         wait_for(stop)
 
 
 def wait_for(stop: threading.Event) -> None:
-    """Return when `stop` is set; Ctrl-C is heard on the way."""
+    """Wait until `stop` is set, with regular wake-ups for Ctrl-C."""
     while not stop.wait(WAKE_S):
         pass
 
 
 class _Server(ThreadingHTTPServer):
-    """A server to which dropped connections are usual."""
+    """Server that tolerates dropped connections."""
 
     daemon_threads = True
 
@@ -142,7 +142,7 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Hands requests to `ask` and `tell`."""
+    """Request handler that calls `ask` and `tell`."""
 
     ask: Ask
     tell: Tell
@@ -190,7 +190,7 @@ class _Handler(BaseHTTPRequestHandler):
         except (KeyError, TypeError, ValueError) as error:
             answer = Answer.of({"error": f"not understood: {error!r}"}, 400)
         except Exception as error:
-            # The page must hear of a defect too: a broken connection says nothing.
+            # The page must report a defect, too; a broken connection would give no reason.
             logger.exception("no answer to %s", self.path)
             text = f"{type(error).__name__}: {error}; the terminal says more"
             answer = Answer.of({"error": text}, 500)
@@ -202,10 +202,10 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Type", answer.kind)
             self.send_header("Content-Length", str(len(answer.body)))
             self.send_header("Cache-Control", "no-store")
-            # In a frame of another site a person could be led to press our buttons.
+            # Against clickjacking by another site that embeds the page in a frame.
             self.send_header("X-Frame-Options", "DENY")
             self.end_headers()
             self.wfile.write(answer.body)
         except (BrokenPipeError, ConnectionResetError):
-            # The page was closed while it was answered.
+            # The page was closed before the answer was sent.
             self.close_connection = True

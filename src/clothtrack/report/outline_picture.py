@@ -1,4 +1,4 @@
-"""A garment's outline over the picture that it was found in: seams, openings and their lengths."""
+"""Drawing of a garment's outline on its picture, with seams, openings and their lengths."""
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from clothtrack.report.palette import HIDDEN, INK, OUTSIDE, PAPER, PICKER_CLOSED
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
 WIDTH_PX = 1200
-"""Width of the picture that is drawn."""
+"""Width of the drawing [pixels]."""
 
 
 def outline_picture(template: FlatTemplate, shown: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
@@ -45,7 +45,7 @@ def outline_picture(template: FlatTemplate, shown: Picture) -> UInt8[np.ndarray,
 
 
 def _label(image: Picture, text: str, at: np.ndarray) -> None:
-    """Write on a plate of paper, inside the picture."""
+    """Write text on a plain background, kept inside the picture."""
     width = text_width(text, height_px=14.0) + 12
     column = int(np.clip(at[0] - width / 2, 0, max(image.shape[1] - width, 0)))
     row = int(np.clip(at[1] + 6, 24, image.shape[0] - 8))

@@ -1,7 +1,7 @@
-"""The tracked mesh drawn over what the cameras saw, as a video and as a contact sheet.
+"""The tracked mesh drawn over the camera pictures, as a video and as a contact sheet.
 
-The visible surface is shaded and translucent, its outline bright; what the cameras do not see is
-drawn through it as a wire frame in the hidden hue.
+The visible surface is shaded and translucent with a bright outline. Hidden parts are drawn through
+it as a wire frame in the hidden hue.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,24 +37,24 @@ from clothtrack.report.viewpoint import view_of
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 SURFACE = 0.38
-"""Opacity of the shaded surface, 0..1: the picture below stays readable."""
+"""Opacity of the shaded surface, 0..1; low, so that the picture below stays readable."""
 
 _HIDDEN_WIRES = 0.34
-"""Opacity of the hidden wire frame, 0..1: what lies over it and is seen must keep its own hue."""
+"""Opacity of the hidden wire frame, 0..1; low, so that the visible surface keeps its hue."""
 
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
-"""Share of red, green and blue in a gray value (ITU-R BT.601)."""
+"""Weights of red, green and blue in a gray value (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True)
 class OverlayConfig:
-    """How the overlay looks.
+    """Settings of the overlay.
 
     Attributes:
         height: height of each camera's picture [pixels].
-        closest: smallest share of a camera's picture that is shown when the cloth fills little
-            of it; 1 always shows all.
-        cameras: at most this many cameras, side by side.
+        closest: smallest share of a camera's picture that is shown if the cloth fills little of it;
+            1 always shows all.
+        cameras: largest number of cameras, side by side.
         wires: opacity of the visible wire frame, 0..1.
     """
 
@@ -65,7 +65,7 @@ class OverlayConfig:
 
 
 class Overlay:
-    """Draws any frame of one tracked trajectory over its recording."""
+    """Renderer of a tracked trajectory over its recording."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class Overlay:
         *,
         config: OverlayConfig | None = None,
     ) -> None:
-        """Prepare the views: the recording's cameras, or one of ours where it has no picture."""
+        """Prepare the views: the recording's cameras, or a virtual one if it has no picture."""
         self.tracked, self.recording = tracked, recording
         self.config = config or OverlayConfig()
         self.views = _views(tracked, recording, self.config)
@@ -85,15 +85,15 @@ class Overlay:
         return frame_of(self.tracked, self.recording, step)
 
     def observation(self, step: int) -> Picture:
-        """Return what was seen at a step, all views side by side."""
+        """Return the observation at a step, all views side by side."""
         return np.hstack(self._observations(step))
 
     def draw(self, step: int) -> Picture:
-        """Return the tracked mesh over what was seen at a step, all views side by side."""
+        """Return the tracked mesh over the observation at a step, all views side by side."""
         return np.hstack(self._overlays(step, self._observations(step)))
 
     def stacked(self, step: int) -> Picture:
-        """Return `draw` with what was seen below it, each of them with even sides."""
+        """Return `draw` with the observation below it, each padded to even sides."""
         seen = self._observations(step)
         pair = [np.hstack(pictures) for pictures in (self._overlays(step, seen), seen)]
         height, width = pair[0].shape[:2]
@@ -101,7 +101,7 @@ class Overlay:
         return np.vstack([np.pad(picture, padding, mode="edge") for picture in pair])
 
     def annotated(self, step: int) -> Picture:
-        """Return `draw` under a line of words: frame, time, action, losses, share visible."""
+        """Return `draw` under a caption with frame, time, action, losses and visible share."""
         picture = self.draw(step)
         left, right = step_words(self.tracked, step)
         return np.vstack([caption(picture.shape[1], left, right), picture])
@@ -126,8 +126,8 @@ class Overlay:
             cloth = view.cut(still.cloth)
             photographed = has_picture(self.frame(step), view.camera)
             image = _toned_down(picture) if photographed else picture.astype(np.float32)
-            # Blue over red cloth would be the hue that says "hidden": under the mesh only light
-            # and shade of the photograph are kept.
+            # Blue over red cloth would give the hue of "hidden". Therefore only the gray values of
+            # the photograph are kept under the mesh.
             pixels, covered = image.reshape(-1, 3), np.flatnonzero(cloth)
             gray = (pixels[covered] @ _LUMINANCE)[:, None]
             shaded = view.cut(still.image).reshape(-1, 3)[covered]
@@ -148,7 +148,7 @@ class Overlay:
         vertices: Float[np.ndarray, "vertices 3"],
         visible: Bool[np.ndarray, " vertices"],
     ) -> None:
-        """Draw the edges: dark where they are seen, in the hidden hue where they are believed."""
+        """Draw the edges, the visible ones dark, the hidden ones in the hidden hue."""
         edges = self.tracked.mesh.edges
         pixels, depth = view.project(vertices)
         ends = np.clip(np.nan_to_num(pixels[edges]), -8000, 8000)
@@ -171,12 +171,12 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera's picture, enlarged, and the window of it that is shown.
+    """Enlarged picture of a camera, and its displayed window.
 
     Attributes:
-        camera: the camera in the enlarged picture.
-        rows: the rows that are shown.
-        columns: the columns that are shown.
+        camera: camera of the enlarged picture.
+        rows: displayed rows.
+        columns: displayed columns.
     """
 
     camera: Camera
@@ -190,13 +190,13 @@ class View:
     def project(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-        """Return pixels of the window, and depths [m], of points in the world [m]."""
+        """Return the window pixels and depths [m] of points in the world [m]."""
         pixels, depth = self.camera.project(points)
         return pixels - (self.columns.start, self.rows.start), depth
 
 
 def whole_view(camera: Camera) -> View:
-    """Return all of a camera's picture."""
+    """Return the view of a camera's whole picture."""
     return View(camera, slice(0, camera.height), slice(0, camera.width))
 
 
@@ -209,11 +209,11 @@ def write_overlay_video(
 ) -> float:
     """Write the overlay as H.264 MP4 and return its frames per second.
 
-    `steps` chooses frames of the trajectory (all by default); the video keeps the recording's
-    speed. `draw` makes the picture of a step, by default the annotated one.
+    `steps` selects frames of the trajectory (all by default); the video keeps the recording's
+    speed. `draw` returns the picture of a step, by default the annotated one.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     chosen = range(len(overlay.tracked.frames)) if steps is None else steps
     rate = frame_rate(overlay.tracked.time_s[np.asarray(chosen, dtype=np.int64)])
@@ -225,7 +225,7 @@ def write_contact_sheet(overlay: Overlay, path: Path, *, rows: int = 6) -> Path:
     """Write a PNG with `rows` frames: observation, overlay and a shaded 3/4 view in each row.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     count = len(overlay.tracked.frames)
     steps = np.unique(np.linspace(0, count - 1, min(rows, count)).round().astype(int))
@@ -259,7 +259,7 @@ def _sheet_rows(overlay: Overlay, steps: Sequence[int]) -> Iterator[Picture]:
 def scene_view(
     tracked: TrackedTrajectory, recording: Recording, *, width: int, height: int
 ) -> Camera:
-    """Return a 3/4 view that holds the cloth through the whole trajectory."""
+    """Return a 3/4 view that contains the cloth throughout the trajectory."""
     steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
     points = tracked.positions[steps].reshape(-1, 3).astype(np.float64)
     return view_of(points, recording, width=width, height=height)
@@ -268,7 +268,7 @@ def scene_view(
 def _views(
     tracked: TrackedTrajectory, recording: Recording, config: OverlayConfig
 ) -> tuple[View, ...]:
-    """Return the cameras that have pictures; one of our own when there is no picture at all."""
+    """Return views of the cameras with pictures; a virtual view if there are no pictures."""
     shown = [frame for frame in recording.frames if frame.index in tracked.frames]
     cameras = [c for c in recording.cameras if any(has_picture(frame, c) for frame in shown)]
     if not cameras:
@@ -279,7 +279,7 @@ def _views(
 
 
 def _close_up(camera: Camera, tracked: TrackedTrajectory, config: OverlayConfig) -> View:
-    """Return the window, shaped like the picture, that holds the cloth in all frames."""
+    """Return the window of the picture's aspect ratio that contains the cloth in all frames."""
     steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
     pixels, depth = camera.project(tracked.positions[steps].reshape(-1, 3).astype(np.float64))
     size = np.array([camera.width, camera.height])
@@ -320,7 +320,7 @@ def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 
 
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
-    """Return a calmer copy: less color, a little lighter, so that the drawing stands out."""
+    """Return a paler, slightly lighter copy, so that the drawing stands out."""
     mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * _LUMINANCE
     image = cv2.transform(picture.astype(np.float32), mixed)
     image += 12.0

@@ -1,7 +1,7 @@
 """One offline page per trajectory: video, scene, curves, actions, settings in a single file.
 
-Everything is inside the file, and a content security policy in it forbids the browser to fetch
-anything else, so it can be mailed, archived and opened years later.
+The file is self-contained, and its content security policy forbids the browser to fetch anything
+else. It can therefore be mailed, archived and opened years later.
 """
 
 from collections.abc import Sequence
@@ -45,17 +45,17 @@ from clothtrack.report.stage import Pictures, scene_card, stage, swatch, video_c
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 _SCENE_FRAMES = 180
-"""At most this many frames in the scene, evenly chosen: a page must open in a browser."""
+"""Largest number of frames in the scene, evenly chosen, so that a browser can open the page."""
 
 
 @dataclass(frozen=True)
 class ReportConfig:
-    """How much goes into a page.
+    """Settings of a page.
 
     Attributes:
-        video_frames: at most this many frames in the video, evenly chosen, and those of labels.
-        scene_vertices: at most this many vertices over all frames of the scene.
-        overlay: how the video looks.
+        video_frames: largest number of frames in the video, evenly chosen, plus those of labels.
+        scene_vertices: largest number of vertices over all frames of the scene.
+        overlay: settings of the video.
     """
 
     video_frames: int = 360
@@ -75,16 +75,16 @@ def write_report(
     """Write the page of one tracked trajectory and return its path.
 
     Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        path: of the page.
-        config: how much goes into it.
-        truth: the true meshes; only with them can the cloth be colored by its error.
+        tracked: the tracked trajectory.
+        recording: recording that it was tracked from.
+        path: path of the page.
+        config: settings of the page.
+        truth: the true meshes, required to color the cloth by its error.
         review: decisions about labels.
 
     Raises:
         InvalidResultError: the truth is of another garment or another recording.
-        StorageError: when the disk refuses; what was at `path` before is untouched then.
+        StorageError: the disk refuses; an earlier file at `path` is then unchanged.
     """
     config = config or ReportConfig()
     overlay = Overlay(tracked, recording, config=config.overlay)
@@ -168,7 +168,7 @@ def _labeled_steps(tracked: TrackedTrajectory) -> list[int]:
 def evenly(count: int, most: int, always: Sequence[int] = ()) -> list[int]:
     """Return at most `most` of the numbers 0 to count - 1, evenly spaced, both ends included.
 
-    Those of `always` are included too, even if they and the ends are more than `most`.
+    Those of `always` are included too, even if the result then exceeds `most`.
     """
     if count <= most:
         return list(range(count))

@@ -1,6 +1,6 @@
-"""The colors of every picture and page: one meaning, one hue, the same everywhere.
+"""The colors of all pictures and pages, with one hue per meaning.
 
-Colors are RGB in 0..1 (float) for shading; `hexadecimal` writes them for style sheets.
+Colors are RGB in 0..1 (float) for shading; `hexadecimal` converts them for style sheets.
 """
 
 import numpy as np
@@ -9,9 +9,9 @@ from jaxtyping import Float
 OUTSIDE = (0.290, 0.490, 0.690)
 """The outer side of the cloth (its front faces)."""
 INSIDE = (0.878, 0.643, 0.345)
-"""The inner side: where it shows inside an outer region, one layer was pushed through another."""
+"""The inner side; inside an outer region it shows a layer pushed through another."""
 HIDDEN = (0.765, 0.318, 0.498)
-"""What no camera sees: the tracker's belief."""
+"""Parts that no camera sees, estimated by the tracker."""
 OBSERVED = (0.110, 0.478, 0.427)
 """The measured points."""
 PICKER_CLOSED = (0.851, 0.275, 0.196)
@@ -25,7 +25,7 @@ TABLE = (0.902, 0.886, 0.859)
 INK = (0.149, 0.157, 0.180)
 """Text and lines."""
 UNKNOWN = (0.620, 0.612, 0.596)
-"""Where a value is not known."""
+"""Unknown values."""
 
 HEAT = np.array(
     [
@@ -37,11 +37,11 @@ HEAT = np.array(
         [0.690, 0.204, 0.220],
     ]
 )
-"""Stops of the scale for graded values, from calm to alarming."""
+"""Stops of the color scale for graded values, from low to high."""
 
 
 def heat(values: Float[np.ndarray, " values"], limit: float) -> Float[np.ndarray, "values 3"]:
-    """Return a color for each value between 0 (calm blue) and `limit` (red); more stays red."""
+    """Return a color for each value from 0 (blue) to `limit` and above (red)."""
     place = np.clip(np.nan_to_num(values / limit, nan=0.0), 0.0, 1.0) * (len(HEAT) - 1)
     stops = np.arange(len(HEAT))
     return np.stack([np.interp(place, stops, channel) for channel in HEAT.T], axis=-1)
@@ -54,5 +54,5 @@ def rgb255(color: tuple[float, float, float]) -> tuple[int, int, int]:
 
 
 def hexadecimal(color: tuple[float, float, float]) -> str:
-    """Return a color as a style sheet writes it (`#4a7db0`)."""
+    """Return a color in style-sheet notation (`#4a7db0`)."""
     return "#{:02x}{:02x}{:02x}".format(*rgb255(color))

@@ -1,6 +1,6 @@
-"""A tracked trajectory as a Rerun recording (.rrd), for the viewer that many laboratories have.
+"""Export of a tracked trajectory as a Rerun recording (.rrd).
 
-Needs the extra [rerun]; nothing else in the package does.
+Only this module needs the extra [rerun].
 """
 
 from collections.abc import Sequence
@@ -42,15 +42,15 @@ def write_rerun(
     """Write mesh, observed points, pickers, color pictures and curves over frame and time.
 
     The entities are `world/cloth` (colored by visibility), `world/cloth_KEY` per coloring,
-    `world/observed`, `world/picker/NAME`, `camera/NAME`, and `curves/...`; the time lines `frame`
-    and `time`.
+    `world/observed`, `world/picker/NAME`, `camera/NAME`, and `curves/...`. The time lines are
+    `frame` and `time`.
 
     Raises:
         InvalidConfigError: the extra [rerun] is not installed.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     require_extra("rerun", ["rerun"], "writing .rrd")
-    # By name: type checkers see it in some installations and not in others.
+    # Import by name because type checkers find it in some installations only.
     rr = import_module("rerun")
     with atomic_file(path) as temporary:
         stream = rr.RecordingStream("clothtrack", recording_id=tracked.name)
@@ -111,11 +111,11 @@ def _log_pictures(rr: Any, stream: Any, frame: Frame) -> None:
         try:
             picture = read_color(file)
         except ClothTrackError:
-            continue  # a picture that cannot be read costs the picture, not the export
+            continue  # an unreadable picture must not fail the export
         stream.log(["camera", name], rr.Image(picture).compress(jpeg_quality=85))
 
 
 def _curve(chart: Chart, label: str) -> list[str]:
-    """Return the parts of a curve's path, as text: Rerun escapes them itself."""
+    """Return the parts of a curve's path as text, which Rerun escapes itself."""
     words = f"{chart.title} [{chart.unit}]" if chart.unit else chart.title
     return ["curves", *(part for part in (words, label) if part)]

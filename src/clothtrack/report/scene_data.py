@@ -1,7 +1,7 @@
-"""A cloth in motion, packed small enough to lie inside a page, for the page's own viewer.
+"""Compact data of a moving cloth for the 3D viewer inside a page.
 
-Numbers are rounded to a grain, taken as differences from frame to frame, split into low and high
-bytes and deflated; `page_scene.js` undoes this in the browser.
+Numbers are rounded to a grain, stored as differences between frames, split into low and high bytes,
+and deflated. `page_scene.js` reverses this in the browser.
 """
 
 import base64
@@ -42,16 +42,16 @@ _PICKER_RADIUS_M = 0.008
 """Radius of the ball at a picker's tip [m]."""
 
 THICKNESS_M = 0.0012
-"""Thickness that the cloth is drawn with [m]: about that of jersey."""
+"""Thickness of the drawn cloth [m], about that of jersey."""
 
 SCENE_POINTS = 1500
-"""Most observed points of a frame that are shown."""
+"""Largest number of observed points shown per frame."""
 
 _CLOUD_GRAINS = 8
-"""Observed points are rounded to this many grains, half a millimeter: the rest is noise."""
+"""Rounding of observed points [grains], half a millimeter, since finer detail is noise."""
 
 _STRIP_M = 0.02
-"""Width of the strips in which observed points are sorted [m]."""
+"""Width of the strips by which observed points are sorted [m]."""
 
 _FINEST_GRAIN_M = 2.0**-14
 _LARGEST_INTEGER = 32_000
@@ -62,25 +62,25 @@ _LARGEST_VALUE = 254
 
 @dataclass(frozen=True, eq=False)
 class SceneContents:
-    """What a page shows in three dimensions.
+    """Contents of a page's 3D scene.
 
     Attributes:
         frames: numbers of the frames.
-        time_s: when they were [s].
-        eye: from where to look first.
+        time_s: times of the frames [s].
+        eye: initial view.
         up: unit vector upwards.
         along: unit vector along which layers are separated.
-        positions: vertices of the cloth [m]; none where there is no mesh.
+        positions: vertices of the cloth [m]; empty if there is no mesh.
         faces: vertex indices per triangle.
-        ranks: how many layers lie under each vertex.
+        ranks: number of layers under each vertex.
         visible: whether a camera sees the vertex; None if unknown.
         clouds: observed points of each frame [m].
-        pickers: where the pickers were.
-        table: where the table is.
-        colorings: what the cloth can be colored by.
-        views: of the recording's cameras: the parts of their pictures that the page shows.
-        cloud_colors: RGB of each observed point; none where there is no color picture.
-        film: RGB of each vertex as the film shows it.
+        pickers: paths of the pickers.
+        table: the table.
+        colorings: colorings of the cloth.
+        views: the recording's cameras, with the displayed parts of their pictures.
+        cloud_colors: RGB of each observed point; empty if there is no color picture.
+        film: RGB of each vertex from the color pictures.
     """
 
     frames: Int[np.ndarray, " frames"]
@@ -114,9 +114,9 @@ def recorded_scene(
     """Return the scene of some frames of a recording.
 
     Args:
-        recording: with table, pickers and pictures.
-        frames: those that are shown.
-        eye: from where to look first.
+        recording: recording with table, pickers and pictures.
+        frames: frames to show.
+        eye: initial view.
         clouds: observed points of each frame [m].
         mesh: the cloth, if it is known.
         positions: its vertices in each frame [m].
@@ -148,7 +148,7 @@ def recorded_scene(
 
 def packed(scene: SceneContents) -> tuple[str, str]:
     """Return a scene as a JSON header and Base64 data."""
-    # In this order neighbors follow each other, and what follows looks alike: it packs better.
+    # In this order successive points are neighbors and similar, so they compress better.
     orders = [np.lexsort((p[:, 1], np.floor(p[:, 0] / _STRIP_M))) for p in scene.clouds]
     clouds = [points[order] for points, order in zip(scene.clouds, orders, strict=True)]
     everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds])
@@ -187,14 +187,14 @@ def packed(scene: SceneContents) -> tuple[str, str]:
 
 
 class _Packer:
-    """Arrays one after the other, and where each lies."""
+    """Concatenated arrays, and the location of each."""
 
     def __init__(self) -> None:
         self.content = bytearray()
         self.places: dict[str, tuple[str, int, int, int]] = {}
 
     def plain(self, name: str, values: np.ndarray) -> None:
-        """Append bytes, or words of four bytes."""
+        """Append an array as bytes or as four-byte words."""
         self.content += bytes(-len(self.content) % 4)
         data = values.tobytes()
         kind = "words" if values.itemsize == 4 else "bytes"
@@ -204,14 +204,14 @@ class _Packer:
     def shuffled(
         self, name: str, values: np.ndarray, kind: str = "shuffled", width: int = 0
     ) -> None:
-        """Append integers of two bytes: first all low bytes, then all high ones."""
+        """Append two-byte integers, first all low bytes, then all high bytes."""
         halves = values.astype("<i2").ravel().view(np.uint8).reshape(-1, 2)
         data = np.ascontiguousarray(halves.T).tobytes()
         self.places[name] = (kind, len(self.content), len(data), width)
         self.content += data
 
     def differences(self, name: str, values: np.ndarray) -> None:
-        """Append the first frame, and the change from each frame to the next."""
+        """Append the first frame, and the differences between successive frames."""
         first, width = np.zeros_like(values[:1]), int(np.prod(values.shape[1:]))
         self.shuffled(name, np.diff(values, axis=0, prepend=first), "differences", width)
 
@@ -219,7 +219,7 @@ class _Packer:
 def _cloud_colors(
     scene: SceneContents, orders: Sequence[Int[np.ndarray, " _"]], pack: _Packer
 ) -> list[list[int]]:
-    """Pack one byte for each observed point; gives the colors that the bytes stand for."""
+    """Pack a color index for each observed point, and return the palette."""
     if not scene.cloud_colors:
         return []
     sorted_colors = [one[order] for one, order in zip(scene.cloud_colors, orders, strict=True)]
@@ -237,7 +237,7 @@ def _bytes_of(coloring: Coloring) -> np.ndarray:
 
 
 def _facts(scene: SceneContents) -> dict[str, Any]:
-    """Return everything that is not an array: eye, table, pickers, colors."""
+    """Return the header without the arrays: eye, table, pickers, colors."""
     eye = scene.eye
     pickers = [
         {
@@ -281,7 +281,7 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
 
 
 def _view(view: View) -> dict[str, Any]:
-    """Return where a camera stands, and the part of its picture that the page shows [pixels]."""
+    """Return the pose of a camera, and the displayed part of its picture [pixels]."""
     camera, pose = view.camera, view.camera.world_from_camera
     return {
         "name": camera.name,

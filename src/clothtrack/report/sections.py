@@ -29,7 +29,7 @@ from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction, T
 
 
 def lead_line(tracked: TrackedTrajectory, recording: Recording) -> str:
-    """Return what was recorded, in one line."""
+    """Return a one-line summary of the trajectory."""
     cameras = len(recording.cameras)
     duration = float(tracked.time_s[-1] - tracked.time_s[0])
     parts = [
@@ -44,13 +44,13 @@ def lead_line(tracked: TrackedTrajectory, recording: Recording) -> str:
 
 
 class Figure(NamedTuple):
-    """A number that a reader wants first.
+    """Key figure of a page.
 
     Attributes:
-        name: what it is.
-        value: as it is shown; a figure without one is left out.
-        unit: of the value.
-        help: what it tells, shown to those who point at it.
+        name: name of the figure.
+        value: displayed value; a figure with an empty value is left out.
+        unit: unit of the value.
+        help: explanation, shown as a tooltip.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Figure(NamedTuple):
 
 
 def key_figures(figures: Sequence[Figure]) -> str:
-    """Return a row of figures."""
+    """Return a row of key figures."""
     items = "".join(
         f'<div title="{escape(one.help, quote=True)}"><dt>{escape(one.name)}</dt>'
         f"<dd>{escape(one.value)} <small>{escape(one.unit)}</small></dd></div>"
@@ -73,10 +73,10 @@ def key_figures(figures: Sequence[Figure]) -> str:
 def figures_of(
     tracked: TrackedTrajectory, evidence: ObservedSteps, strains: Float[np.ndarray, " frames"]
 ) -> list[Figure]:
-    """Return the numbers that a reader wants first."""
+    """Return the key figures of a trajectory."""
     steps = tracked.steps
     stepped = int((np.asarray(steps.trials) > 0).sum())
-    # The steps are of the parameters that were kept; the whole holds those that were tried too.
+    # `steps` cover only the parameters that were kept; `cpu_s` includes those that were tried.
     kept = np.nansum([steps.predict_s, steps.align_s, steps.correct_s])
     cpu = float(tracked.provenance.get("cpu_s", kept))
     floor = _median(evidence.floor_mm)
@@ -120,7 +120,7 @@ def actions_html(tracked: TrackedTrajectory, recording: Recording) -> str:
 
 
 def settings_html(tracked: TrackedTrajectory, recording: Recording) -> str:
-    """Return configuration, versions, seed and the recording's own provenance, folded away."""
+    """Return configuration, versions, seed and the recording's provenance, collapsed."""
     blocks = (
         ("Configuration", tracked.config),
         ("Versions, seed, device", tracked.provenance),
@@ -141,10 +141,10 @@ def settings_html(tracked: TrackedTrajectory, recording: Recording) -> str:
 
 
 def jpeg_uri(image: Picture, *, quality: int = 86) -> str:
-    """Return an RGB picture as a data address.
+    """Return an RGB picture as a data URI.
 
     Raises:
-        StorageError: when the picture cannot be encoded.
+        StorageError: the picture cannot be encoded.
     """
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -255,7 +255,7 @@ def _count(number: int, noun: str, plural: str = "") -> str:
 
 
 def _median(values: Float[np.ndarray, " frames"]) -> str:
-    """Return the median of the finite values; empty where there are none."""
+    """Return the median of the finite values; empty if there are none."""
     finite = values[np.isfinite(values)]
     return f"{np.median(finite):.1f}" if len(finite) else ""
 
@@ -277,7 +277,7 @@ _EXPECTED_HELP = (
 def review_card(
     tracked: TrackedTrajectory, review: LabelReview, judged: Sequence[LabelQuality]
 ) -> str:
-    """Return buttons for each label, and the file to put beside the trajectory."""
+    """Return the card with buttons for each label and for saving the review."""
     if not review.labels:
         return ""
     rows = []
@@ -309,7 +309,7 @@ def review_card(
 
 
 def verdict_strip(judged: Sequence[LabelQuality]) -> str:
-    """Return the verdict of every label, in a row; the page's script marks the shown one."""
+    """Return the verdicts of all labels in a row; the page's script marks the current one."""
     if not judged:
         return ""
     chips = "".join(
@@ -323,11 +323,11 @@ def verdict_strip(judged: Sequence[LabelQuality]) -> str:
 
 
 def evidence_card(found: Verdict, of: str = "recording") -> str:
-    """Return a verdict, with the measures that speak against it first.
+    """Return a verdict, with the evidence against the mesh first.
 
     Args:
         found: the verdict.
-        of: what evidence is about that is not about one label.
+        of: subject of evidence that is not about a single label.
     """
     against = [one for one in found.evidence if one.word != "trust"]
     for_it = [one for one in found.evidence if one.word == "trust"]
@@ -359,7 +359,7 @@ def _evidence_row(one: Evidence, of: str) -> str:
 
 
 def _quality_cell(judged: LabelQuality) -> str:
-    """Return what is expected of a label, with the explanation of each number."""
+    """Return the verdict and expected error of a label, with tooltips."""
     if not np.isfinite(judged.expected_error_mm):
         return "nothing was seen to judge it by"
     found = verdict(judged)
@@ -397,7 +397,7 @@ _MEANINGS: Mapping[str, tuple[str, str]] = {
 
 
 def _parameter_head(name: str) -> str:
-    """Return the name of a parameter with its unit, and what it means as a tooltip."""
+    """Return the name of a parameter with its unit, and its meaning as a tooltip."""
     unit, meaning = _MEANINGS.get(name, ("", ""))
     words = name.removesuffix("_m").replace("_", " ")
     return (
@@ -407,7 +407,7 @@ def _parameter_head(name: str) -> str:
 
 
 def _parameter_table(parameters: Mapping[str, float]) -> str:
-    """Return each parameter that was used, with its relation to the tracker's default."""
+    """Return a table of the used parameters, compared with the tracker's defaults."""
     defaults = {name: float(value) for name, value in asdict(RunConfig().cloth.theta()).items()}
     rows = "".join(
         f'<tr>{_parameter_head(name)}<td title="{escape(_MEANINGS.get(name, ("", ""))[1])}">'
@@ -442,7 +442,7 @@ def charts(
     rms_mm: Float[np.ndarray, " frames"],
     floor_mm: Float[np.ndarray, " frames"],
 ) -> tuple[Chart, ...]:
-    """Return the charts of a report, the most telling first."""
+    """Return the charts of a report, the most informative first."""
     steps = tracked.steps
     gave_up = tuple(int(frame) for frame in tracked.frames[np.asarray(steps.gave_up, dtype=bool)])
 

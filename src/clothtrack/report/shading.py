@@ -1,7 +1,7 @@
-"""Shaded stills of a cloth from any camera, with our own z-buffer and no GL.
+"""Shaded stills of a cloth from any camera, with our own z-buffer and without OpenGL.
 
-Both sides of the cloth have their own hue, so layers that were pushed through each other show as
-speckle. Depth steps are drawn dark and what lies below its surroundings is dimmed (depth
+Both sides of the cloth have their own hue, so that layers pushed through each other show as
+speckle. Depth steps are drawn dark, and parts below their surroundings are dimmed (depth
 darkening, Luft, Colditz and Deussen, "Image enhancement by unsharp masking the depth buffer",
 SIGGRAPH 2006), which makes thin layers readable.
 """
@@ -23,18 +23,18 @@ GRID_M = 0.1
 """Spacing of the lines on the table [m]."""
 
 _DEPTH_DARKENING_M = 0.025
-"""Depth below its surroundings at which cloth is dimmed in full [m]."""
+"""Depth below its surroundings at which cloth is fully dimmed [m]."""
 
 
 @dataclass(frozen=True)
 class ShadingConfig:
-    """How a still looks.
+    """Settings of a still.
 
     Attributes:
-        ambient: share of the light that comes from everywhere.
+        ambient: share of ambient light.
         light: direction towards the light in the camera's frame (x right, y down, z forward).
-        edge_darkening: how dark a depth step is drawn, 0..1.
-        depth_darkening: how much what lies deeper than its surroundings is dimmed, 0..1.
+        edge_darkening: darkness of depth steps, 0..1.
+        depth_darkening: dimming of parts deeper than their surroundings, 0..1.
         supersampling: pixels computed per pixel and axis; 2 smooths the outlines.
     """
 
@@ -47,11 +47,11 @@ class ShadingConfig:
 
 @dataclass(frozen=True, eq=False)
 class ShadedStill:
-    """A shaded picture and where the cloth is in it.
+    """Shaded picture with the mask of the cloth.
 
     Attributes:
         image: RGB picture.
-        cloth: pixels that show cloth.
+        cloth: mask of the pixels that show cloth.
     """
 
     image: UInt8[np.ndarray, "height width 3"]
@@ -59,7 +59,7 @@ class ShadedStill:
 
 
 class Shader:
-    """Draws one cloth from one camera; buffers and the table's picture are kept between frames."""
+    """Renderer of one cloth from one camera; caches buffers and the picture of the table."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Shader:
         cloth = (buffer.faces >= 0) & (buffer.depth < self._backdrop_depth + 2e-3)
         picture = self._empty.copy()
         if cloth.any():
-            # Nothing changes farther from the cloth than its shade reaches.
+            # The picture does not change beyond the reach of the depth darkening.
             box = bounds_of(cloth, margin=math.ceil(4 * _shade_reach(self.camera)) + 2)
             picture[box] = self._drawn(vertices, buffer, cloth, box, colors=colors)
         if self.config.supersampling > 1:
@@ -158,14 +158,14 @@ def _eight_bits(image: Float[np.ndarray, "*pixels 3"]) -> UInt8[np.ndarray, "*pi
 
 
 def _shade_reach(camera: Camera) -> float:
-    """Return standard deviation [pixels] of the surroundings that something is dimmed against."""
+    """Return the standard deviation [pixels] of the blur in depth darkening."""
     return max(2.0, 0.010 * camera.width)
 
 
 def _triangles(
     local: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return first corner, two vectors whose dot products give barycentrics, area normals."""
+    """Return first corners, two vectors whose dot products give barycentrics, area normals."""
     a, b, c = (local[faces[:, corner]] for corner in range(3))
     first, second = b - a, c - a
     normals = np.cross(first, second)
@@ -178,7 +178,7 @@ def _triangles(
 def _vertex_normals(
     normals: Float[np.ndarray, "faces 3"], faces: Int[np.ndarray, "faces 3"], count: int
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Return sum of the area normals around each vertex."""
+    """Return the sum of the area normals around each vertex."""
     corners = faces.ravel()
     sums = [
         np.bincount(corners, weights=np.repeat(normals[:, axis], 3), minlength=count)
@@ -190,7 +190,7 @@ def _vertex_normals(
 def _backdrop(
     camera: Camera, table: Table | None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
-    """Return the picture without cloth, and its depth [m] (infinite: nothing)."""
+    """Return the picture without cloth, and its depth [m] (infinite where empty)."""
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
     image[:] = PAPER
     depth = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
@@ -220,7 +220,7 @@ def _backdrop(
 def _grid_lines(
     points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, " 3"], spacing_m: float
 ) -> Float[np.ndarray, " points"]:
-    """Return how much of a grid line each point of a plane shows, 0..1."""
+    """Return the intensity of grid lines at points of a plane, 0..1."""
     first = np.eye(3)[int(np.argmin(np.abs(normal)))]
     first = np.cross(np.cross(normal, first), normal)
     first /= np.linalg.norm(first)
@@ -236,7 +236,7 @@ def _darkening(
     camera: Camera,
     config: ShadingConfig,
 ) -> Float[np.ndarray, "height width"]:
-    """Return brightness from depth steps (outlines, folds) and from lying deeper than around."""
+    """Return the brightness from depth steps (outlines, folds) and depth darkening."""
     farthest = float(depth[cloth].max())
     filled = np.where(np.isfinite(depth), depth, farthest).astype(np.float32)
     bend = np.abs(cv2.Laplacian(filled, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))

@@ -1,4 +1,4 @@
-"""The upper part of a page: video, scene in three dimensions, and the one time bar."""
+"""The upper part of a page: video, 3D scene, and their common time bar."""
 
 import base64
 import json
@@ -15,7 +15,7 @@ from clothtrack.report.palette import HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, he
 from clothtrack.report.scene_data import SceneContents, packed
 
 LARGEST_GAP_M = 0.04
-"""Largest distance between separated layers [m]; with more a shirt is not recognizable."""
+"""Largest distance between separated layers [m]; above it, a shirt is unrecognizable."""
 
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 
@@ -35,8 +35,8 @@ def stage(
 ) -> str:
     """Return cards side by side or, if `wide`, below each other, with a time bar under them.
 
-    `actions` are (first, last) frames; each is a band on the bar with a mark at its end, where
-    its label is.
+    `actions` are (first, last) frames; each is a band on the bar with a mark at its end, the frame
+    of its label.
     """
     bar = ""
     if len(frames) > 1:
@@ -86,15 +86,15 @@ def _marks(frames: Sequence[int], actions: Sequence[tuple[int, int]]) -> str:
 
 @dataclass(frozen=True)
 class Pictures:
-    """What the video of a page is made of.
+    """Contents of a page's video.
 
     Attributes:
         frames: numbers of the frames.
-        write: writes the video to a file and returns its frames per second.
-        size: width and height of what is shown [pixels].
-        parts: what lies one below the other in the video, by name; one of them is shown.
-        words: a line for each frame.
-        words_title: what the line says.
+        write: function that writes the video to a file and returns its frames per second.
+        size: width and height of the displayed part [pixels].
+        parts: names of the parts stacked vertically in the video; one of them is displayed.
+        words: caption of each frame.
+        words_title: explanation of the captions.
     """
 
     frames: Sequence[int]
@@ -106,7 +106,7 @@ class Pictures:
 
 
 def video_card(title: str, legend: str, pictures: Pictures) -> str:
-    """Return a video inside the page, with a switch where it has several parts."""
+    """Return an embedded video, with a switch if it has several parts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
         rate = pictures.write(path)
@@ -130,7 +130,7 @@ def video_card(title: str, legend: str, pictures: Pictures) -> str:
 
 
 def scene_card(contents: SceneContents) -> str:
-    """Return the scene that can be orbited, with its colorings and controls."""
+    """Return the interactive 3D scene, with its colorings and controls."""
     header, data = packed(contents)
     modes = _modes(contents)
     options = "".join(
@@ -152,7 +152,7 @@ def scene_card(contents: SceneContents) -> str:
 
 
 def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
-    """Return what the cloth can be colored by: key, title, note, legend."""
+    """Return the color modes of the cloth: key, title, note, legend."""
     modes = []
     if len(contents.faces):
         modes.append(("sides", "outer and inner side", "", _sides_legend()))
@@ -166,7 +166,7 @@ def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
 
 
 def _switches(contents: SceneContents, options: str) -> str:
-    """Return the controls of a scene, without those for which there is no data."""
+    """Return the controls of a scene for which there is data."""
     cloth = len(contents.faces) > 0
     views = "".join(
         f'<option value="{number}">from camera {escape(view.camera.name)}</option>'
@@ -213,17 +213,17 @@ def _switches(contents: SceneContents, options: str) -> str:
 
 
 def swatch(color: tuple[float, float, float], words: str) -> str:
-    """Return a spot of color and what it means."""
+    """Return a color swatch with its meaning."""
     return f'<i class="swatch" style="background:{hexadecimal(color)}"></i>{escape(words)}'
 
 
 def _sides_legend() -> str:
-    """Return the colors of the two sides."""
+    """Return the legend of the two sides."""
     return swatch(OUTSIDE, "outer side") + swatch(INSIDE, "inner side")
 
 
 def _scale_legend(coloring: Coloring) -> str:
-    """Return the scale of a graded coloring."""
+    """Return the legend of a graded coloring."""
     stops = ", ".join(hexadecimal(tuple(stop)) for stop in HEAT.tolist())
     return (
         f'&ensp;0 <i class="ramp" style="background:linear-gradient(90deg, {stops})"></i> '
@@ -240,5 +240,5 @@ def _check(name: str, words: str, title: str, *, checked: bool = True) -> str:
 
 
 def _inline(text: str) -> str:
-    """Return JSON that cannot end the script element it lies in."""
+    """Return JSON escaped so that it cannot end its script element."""
     return text.replace("<", "\\u003c")

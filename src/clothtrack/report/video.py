@@ -1,4 +1,4 @@
-"""Pictures and videos on disk: PNG, and H.264 in MP4 as every browser plays it."""
+"""Writing of PNG pictures and of H.264 MP4 videos that every browser plays."""
 
 import itertools
 from collections.abc import Iterable
@@ -21,14 +21,14 @@ def write_video(
     frames_per_second: float,
     quality: int = 26,
 ) -> int:
-    """Encode RGB pictures of one size and return how many there were.
+    """Encode RGB pictures of one size and return their number.
 
-    Sizes are made even by repeating the last row or column (4:2:0 needs it). `quality` is x264's
+    Sizes are made even by repeating the last row or column, as 4:2:0 requires. `quality` is x264's
     rate factor: 18 looks like the source, 30 is coarse.
 
     Raises:
-        InvalidConfigError: when there is no picture.
-        StorageError: when the disk refuses.
+        InvalidConfigError: there is no picture.
+        StorageError: the disk refuses.
     """
     pictures = iter(pictures)
     first = next(pictures, None)
@@ -41,7 +41,7 @@ def write_video(
             "libx264", rate=Fraction(frames_per_second).limit_denominator(1000)
         )
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        # Key frames twice a second: the page jumps about in the video.
+        # Two key frames per second, because the page seeks in the video.
         stream.options = {
             "crf": str(quality),
             "preset": "veryfast",
@@ -66,16 +66,16 @@ def write_picture(path: Path, picture: UInt8[np.ndarray, "height width 3"]) -> N
     """Write a picture, red first, as PNG, whole or not at all.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
-    # In memory first: on a full disk OpenCV only writes a line of its own to standard error.
+    # Encode in memory, since on a full disk OpenCV only writes a line to standard error.
     done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     assert done, "OpenCV refuses a picture whose shape and type were checked"
     write_file(path, data.tobytes())
 
 
 def frame_rate(time_s: Float[np.ndarray, " frames"]) -> float:
-    """Return the frames per second of a video in the recording's own time, within 2 to 60."""
+    """Return the frame rate of a real-time video [1/s], within 2 to 60."""
     steps = np.diff(time_s)
     steps = steps[steps > 0]
     return float(np.clip(1.0 / np.median(steps), 2.0, 60.0)) if len(steps) else 10.0

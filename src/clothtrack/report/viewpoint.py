@@ -17,10 +17,10 @@ def look_at(
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
     name: str = "view",
 ) -> Camera:
-    """Return a camera at `eye` [m] that looks at `target` [m], `up` upwards in the image.
+    """Return a camera at `eye` [m] that looks at `target` [m], with `up` upwards in the image.
 
-    `field_of_view_deg` is the vertical one. Where the axis runs along `up`, the image's upward
-    direction is the world's y (or x) axis.
+    `field_of_view_deg` is the vertical one. If the optical axis is parallel to `up`, the image's
+    upward direction is the world's y (or x) axis.
     """
     forward = np.asarray(target, dtype=np.float64) - eye
     forward /= np.linalg.norm(forward)
@@ -61,7 +61,7 @@ def three_quarter_view(
     sideways = np.cos(azimuth) * first + np.sin(azimuth) * second
     direction = np.cos(elevation) * sideways + np.sin(elevation) * upward
     distance = max(0.05, float(np.linalg.norm(high - low)))
-    for _ in range(6):  # fixed point: the points' box in the image is centerd and just fits
+    for _ in range(6):  # fixed point: the points' box in the image is centered and just fits
         eye = target + distance * direction
         camera = look_at(eye, target, width=width, height=height, up=tuple(upward))
         pixels, depth = camera.project(points)
@@ -77,7 +77,7 @@ def three_quarter_view(
 
 
 def upright(camera: Camera) -> tuple[float, float, float]:
-    """Return the direction upwards in a camera's image [world], which is up without a table."""
+    """Return the upward direction of a camera's image [world], used if there is no table."""
     x, y, z = -camera.world_from_camera[:3, 1]
     return float(x), float(y), float(z)
 
@@ -85,7 +85,7 @@ def upright(camera: Camera) -> tuple[float, float, float]:
 def view_of(
     points: Float[np.ndarray, "points 3"], recording: Recording, *, width: int, height: int
 ) -> Camera:
-    """Return a 3/4 view that holds `points` [m, world], upright as the recording's scene is."""
+    """Return a 3/4 view that contains `points` [m, world], upright as the recording's scene."""
     up, azimuth, elevation = (0.0, 0.0, 1.0), -60.0, 38.0
     if recording.table is not None:
         x, y, z = recording.table.normal
@@ -103,7 +103,7 @@ def view_of(
 def _azimuth_of(
     camera: Camera, center: Float[np.ndarray, " 3"], up: tuple[float, float, float]
 ) -> float:
-    """Return where a camera stands around a point, as `three_quarter_view` counts it [degrees]."""
+    """Return the azimuth of a camera around a point [degrees], as in `three_quarter_view`."""
     upward = np.asarray(up) / np.linalg.norm(up)
     first = np.eye(3)[0 if abs(upward[0]) < 0.9 else 1]
     first = first - (first @ upward) * upward
@@ -113,16 +113,16 @@ def _azimuth_of(
 
 
 def upward(recording: Recording, view: Camera) -> Float[np.ndarray, " 3"]:
-    """Return the unit vector that is up: off the table, or upwards in the image of `view`."""
+    """Return the upward unit vector: the table's normal, or upwards in the image of `view`."""
     if recording.table is not None:
         return np.asarray(recording.table.normal, np.float64)
     return np.asarray(upright(view), np.float64)
 
 
 def layers_axis(recording: Recording, view: Camera) -> Float[np.ndarray, " 3"]:
-    """Return the unit vector along which layers are stacked: off the table, or to the camera.
+    """Return the stacking direction of layers: the table's normal, or towards the camera.
 
-    Without a table and without a camera, towards the eye of `view`.
+    Without a table and without a camera, it points towards the eye of `view`.
     """
     if recording.table is not None:
         return np.asarray(recording.table.normal, np.float64)

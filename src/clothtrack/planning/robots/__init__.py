@@ -1,4 +1,4 @@
-"""What carries actions out: a protocol, and the robots behind it."""
+"""The robot protocol that executes actions, and its implementations."""
 
 from typing import TYPE_CHECKING
 

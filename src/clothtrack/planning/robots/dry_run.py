@@ -1,4 +1,4 @@
-"""A robot that moves nothing: it writes what it would do, as JSON and as arrows on the picture."""
+"""A robot that does not move; it writes its actions as JSON and as arrows on the picture."""
 
 import json
 from collections.abc import Callable
@@ -24,11 +24,11 @@ STOPPED = "dry run: nothing moved"
 
 
 class DryRunRobot:
-    """Plans are written down, and the episode ends after the first.
+    """Robot that only writes its actions; the episode ends after the first.
 
     Attributes:
-        folder: gets action_00.json and action_00.png, action_01.json and so on.
-        limits: what a robot would refuse.
+        folder: output folder for action_00.json and action_00.png, action_01.json and so on.
+        limits: motion limits of the robot.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class DryRunRobot:
         *,
         limits: MotionLimits | None = None,
     ) -> None:
-        """Take pictures with `picture`, and write plans within the limits of a robot."""
+        """Set the source of pictures, the output folder and the motion limits."""
         self._take = picture
         self.folder, self.limits = Path(folder), limits or MotionLimits()
         self._latest: RgbdFrame | None = None
@@ -54,7 +54,7 @@ class DryRunRobot:
         return Reachability(not reason, reason)
 
     def execute(self, action: PickPlace) -> Execution:
-        """Write the action down; nothing moves.
+        """Write the action without moving.
 
         Raises:
             InvalidConfigError: the action is outside a limit.
@@ -73,18 +73,18 @@ class DryRunRobot:
         write_file(self.folder / f"action_{number:02d}.png", encode_png(drawn))
         times = frame.time_s + 0.5 * np.arange(1, len(points) + 1)
         closed = np.array([False, True, True, True, False, False])
-        # The next picture is of a later time: as a recording it is whole.
+        # The next picture has a later time, so the step is a complete recording.
         return Execution(PickerPath(times, points, closed), (frame,), None, STOPPED)
 
     def home(self) -> None:
-        """Do nothing: there is no arm in the way."""
+        """Do nothing, because there is no arm in the view."""
 
 
 def pictures_of(recording: Recording) -> Callable[[], RgbdFrame]:
-    """Return a function that repeats the latest picture of a recording, each a second later.
+    """Return a function that repeats a recording's last picture, each time one second later.
 
     Raises:
-        InvalidConfigError: when called, if it has no depth pictures.
+        InvalidConfigError: by the returned function, if that frame has no depth picture.
     """
     frame, count = recording.frames[-1], 0
 

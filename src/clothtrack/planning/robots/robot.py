@@ -1,4 +1,4 @@
-"""The robot as planning sees it: four methods, positions in meters in the world frame."""
+"""The robot interface for planning: four methods, positions in meters in the world frame."""
 
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
@@ -13,13 +13,13 @@ from clothtrack.recordings.recording import PickerPath
 
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
-    """One picture.
+    """RGB-D picture.
 
     Attributes:
-        time_s: when it was taken, on the robot's clock [s].
-        camera: that took it: intrinsics and pose in the world.
+        time_s: time of the picture, on the robot's clock [s].
+        camera: camera that took it, with intrinsics and pose in the world.
         depth_m: measured depth [m]; 0 where nothing was measured.
-        color: color picture, red first; None without one.
+        color: color picture, red first; None: there is none.
     """
 
     time_s: float
@@ -30,7 +30,7 @@ class RgbdFrame:
 
 @dataclass(frozen=True)
 class Reachability:
-    """Whether an action can be carried out, and if not, why."""
+    """Whether an action can be carried out; if not, the reason."""
 
     reachable: bool
     reason: str = ""
@@ -38,13 +38,13 @@ class Reachability:
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """What became of an action.
+    """Result of executing an action.
 
     Attributes:
-        path: where the tip was, as the robot measured it: a run of the robot is a recording.
-        film: pictures taken on the way, in order of time; may be empty.
-        grasped: whether the gripper holds, or held, anything; None when it cannot tell.
-        error: why it stopped early; empty when it did not.
+        path: measured path of the tip, from which the run becomes a recording.
+        film: pictures taken during the motion, in order of time; may be empty.
+        grasped: whether the gripper holds, or held, anything; None if unknown.
+        error: reason for an early stop; empty if there was none.
     """
 
     path: PickerPath
@@ -62,7 +62,7 @@ class PickPlaceRobot(Protocol):
         ...
 
     def check(self, action: PickPlace) -> Reachability:
-        """Return whether the action is within all limits; moves nothing."""
+        """Return whether the action is within all limits, without moving."""
         ...
 
     def execute(self, action: PickPlace) -> Execution:
@@ -74,18 +74,18 @@ class PickPlaceRobot(Protocol):
         ...
 
     def home(self) -> None:
-        """Go where the arm hides nothing of the table."""
+        """Move the arm to a pose where it hides no part of the table."""
         ...
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What a robot never exceeds. Checked before it moves, over the whole path of the tip.
+    """Motion limits of a robot, checked over the whole path of the tip before it moves.
 
     Attributes:
-        workspace: where the tip may be.
+        workspace: allowed region of the tip.
         table_height_m: height of the table in the world [m].
-        clearance_m: the tip never comes nearer to the table than this [m].
+        clearance_m: smallest distance of the tip from the table [m].
         speed: highest speed of the tip [m/s].
     """
 
@@ -95,7 +95,7 @@ class MotionLimits:
     speed: float = 0.25
 
     def refusal(self, points: Float[np.ndarray, "points 3"]) -> str:
-        """Return why the tip must not go through these points [m]; empty when it may."""
+        """Return why the tip must not go through these points [m]; empty if it may."""
         points = np.atleast_2d(np.asarray(points, dtype=np.float64))
         bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
         if len(bad):
@@ -121,12 +121,12 @@ class MotionLimits:
 
 
 def waypoints(action: PickPlace, hover_m: float = 0.0) -> Float[np.ndarray, "points 3"]:
-    """Return the path of straight legs: over the pick, down, up, across, down, up (VCD) [m].
+    """Return the straight-line waypoints: above pick, down, up, across, down, up (VCD) [m].
 
     Args:
-        action: what is done.
-        hover_m: how far above pick and place the empty gripper comes and goes [m]; at least the
-            lift.
+        action: the pick-and-place.
+        hover_m: height above pick and place at which the empty gripper arrives and leaves [m]; at
+            least the lift.
     """
     up = np.array([0.0, 0.0, max(hover_m, action.lift_m)])
     high = max(action.pick[2], action.place[2]) + action.lift_m
