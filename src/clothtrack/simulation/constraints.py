@@ -7,7 +7,7 @@ import warp as wp
 from jaxtyping import Float32, Int, Int32
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation import kernels
+from clothtrack.simulation import kernels, sweep_kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,7 @@ class DeviceConstraints:
             wp.array(constraints.lengths, dtype=float, device=device),
         ]
         self._colors = constraints.colors
+        self._bounds = wp.array(constraints.first, dtype=int, device=device)
         self._shape = [limit, buckling]
 
     def sweep(
@@ -66,9 +67,9 @@ class DeviceConstraints:
         material = [compliances, *self._shape, inverse_masses, positions]
         if self._is_cpu:
             wp.launch(
-                kernels.sweep_distances,
+                sweep_kernels.sweep_constraints,
                 dim=environments,
-                inputs=[clocks, *self._pairs, *material],
+                inputs=[clocks, *self._pairs, self._bounds, *material],
                 device=self._device,
             )
             return

@@ -207,43 +207,6 @@ def continue_substep(
 
 
 @no_type_check
-@wp.func
-def solve_distance(
-    pair: wp.vec2i,
-    rest: float,
-    softness: float,
-    limit: float,
-    buckling: float,
-    inverse_masses: wp.array(dtype=float),
-    positions: wp.array(dtype=wp.vec3),
-):
-    """Solve one distance constraint (XPBD, equation 18); `rest` is its rest length [m].
-
-    A pair shorter than `limit` of its length resists without compliance: a sharp crease, for bend
-    pairs; for edges the limit is 0. Another that is shorter than its length gives `buckling` times
-    more than one that is longer: edges, where folds are finer than they are; for bend pairs 1.
-    """
-    i = nth(pair[0])
-    j = nth(pair[1])
-    weight_a = inverse_masses[i]
-    weight_b = inverse_masses[j]
-    a = positions[i]
-    b = positions[j]
-    across = b - a
-    distance = wp.length(across)
-    length = wp.float32(rest)
-    give = wp.float32(softness)
-    if distance < limit * rest:
-        length = limit * rest
-        give = 0.0
-    elif distance < rest:
-        give = buckling * softness
-    impulse = (distance - length) / (distance * (weight_a + weight_b + give) + TINY)
-    positions[i] = a + (weight_a * impulse) * across
-    positions[j] = b - (weight_b * impulse) * across
-
-
-@no_type_check
 @wp.kernel
 def solve_distances(
     clocks: wp.array(dtype=Clock),
@@ -256,36 +219,33 @@ def solve_distances(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """Solve the pairs of one color, which share no vertex, with a thread each (for a GPU)."""
+    """One Gauss-Seidel pass over the pairs of one color (XPBD, equation 18), a thread each.
+
+    A pair shorter than `limit` of its length resists without compliance: a sharp crease, for bend
+    pairs; for edges the limit is 0. Another that is shorter than its length gives `buckling` times
+    more than one that is longer: edges, where folds are finer than they are; for bend pairs 1.
+    """
     environment, place = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
     number = first + place
-    solve_distance(
-        pairs[number], lengths[number], softness, limit, buckling,
-        inverse_masses[environment], positions[environment],
-    )  # fmt: skip
-
-
-@no_type_check
-@wp.kernel
-def sweep_distances(
-    clocks: wp.array(dtype=Clock),
-    pairs: wp.array(dtype=wp.vec2i),
-    lengths: wp.array(dtype=float),
-    compliances: wp.array(dtype=float),
-    limit: float,
-    buckling: float,
-    inverse_masses: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-):
-    """Solve all pairs, color by color, with one thread per environment (for a CPU)."""
-    environment = wp.tid()
-    softness = compliances[environment] * clocks[0].inverse_square
-    mass = inverse_masses[environment]
-    here = positions[environment]
-    for number in range(pairs.shape[0]):
-        place = nth(number)
-        solve_distance(pairs[place], lengths[place], softness, limit, buckling, mass, here)
+    pair = pairs[number]
+    weight_a = inverse_masses[environment, pair[0]]
+    weight_b = inverse_masses[environment, pair[1]]
+    a = positions[environment, pair[0]]
+    b = positions[environment, pair[1]]
+    across = b - a
+    distance = wp.length(across)
+    length = lengths[number]
+    weight = weight_a + weight_b
+    if distance < limit * length:
+        length *= limit
+    elif distance < length:
+        weight += buckling * softness
+    else:
+        weight += softness
+    impulse = across * ((distance - length) / (distance * weight + TINY))
+    positions[environment, pair[0]] = a + weight_a * impulse
+    positions[environment, pair[1]] = b - weight_b * impulse
 
 
 @no_type_check
