@@ -1,7 +1,7 @@
-"""How a reconstruction agrees with the picture that it was made from.
+"""Agreement of a reconstruction with the picture that it was made from.
 
-No measure here knows the truth. What is seen can contradict a mesh, and nothing else can: hidden
-layers may be wrong under a silhouette that fits. What it is worth, `evaluation.verdict` decides.
+No measure here uses ground truth. Only visible cloth can contradict a mesh: hidden layers may be
+wrong although the silhouette fits. `evaluation.verdict` judges the measures.
 """
 
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ _SPACING_M = 0.004
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a mesh agrees with the picture that it was made from.
+    """Agreement of a mesh with the picture that it was made from.
 
     Attributes:
         iou: intersection over union of the silhouettes in the picture.
         chamfer_m2: two-way Chamfer distance of the mesh's visible surface and the cloud [m^2]; None
-            where one of them is empty.
+            if either is empty.
     """
 
     iou: float
@@ -36,15 +36,15 @@ class Agreement:
 
     @property
     def surface_m(self) -> float:
-        """Distance of the visible surface from the cloud [m], root mean square of both ways.
+        """Root mean square distance between visible surface and cloud, both directions [m].
 
-        NaN where nothing of the mesh is visible.
+        NaN if nothing of the mesh is visible.
         """
         return float("nan") if self.chamfer_m2 is None else (0.5 * self.chamfer_m2) ** 0.5
 
 
 def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
-    """Return how a mesh agrees with a picture: it is rendered into the picture's own camera."""
+    """Return the agreement of a mesh with a picture, rendered into the picture's own camera."""
     camera = picture.camera
     vertices = np.asarray(mesh.vertices, np.float64)
     depth = Rasterizer(mesh.faces, camera).render(vertices).depth

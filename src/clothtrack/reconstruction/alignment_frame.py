@@ -1,7 +1,7 @@
-"""Turns an observed cloth into the canonical frame, so that what is left to learn is its shape.
+"""Aligns an observed cloth with the canonical frame, so that only its shape is left to learn.
 
-The cloth lies on a table: it may be turned about the vertical and it may lie on its face. Both are
-found in closed form from the canonical coordinates of the seen points.
+The cloth lies on a table. It may be rotated about the vertical and may lie on its face. Both are
+computed in closed form from the canonical coordinates of the observed points.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ class Alignment:
     """A rigid motion between the world and the canonical frame.
 
     Attributes:
-        rotation: turns world directions into the canonical frame.
-        world_center: the world position [m] that goes to `canonical_center`.
-        canonical_center: where it goes [m].
+        rotation: rotation of world directions into the canonical frame.
+        world_center: world position [m] that maps to `canonical_center`.
+        canonical_center: canonical position [m] that `world_center` maps to.
     """
 
     rotation: Float[np.ndarray, "3 3"]
@@ -28,11 +28,11 @@ class Alignment:
     canonical_center: Float[np.ndarray, " 3"]
 
     def to_canonical(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-        """World positions [m] in the canonical frame."""
+        """Return world positions [m] in the canonical frame."""
         return (points - self.world_center) @ self.rotation.T + self.canonical_center
 
     def to_world(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-        """Positions in the canonical frame [m], in the world."""
+        """Return world positions [m] of positions in the canonical frame [m]."""
         return (points - self.canonical_center) @ self.rotation + self.world_center
 
 
@@ -41,16 +41,17 @@ def align(
     canonical: Float[np.ndarray, "points 3"],
     weights: Float[np.ndarray, " points"],
 ) -> Alignment:
-    """The turn about the vertical, on back or on face, that brings observed points home.
+    """Return the rotation about the vertical, on back or on face, that aligns observed points.
 
-    Least squares over the weighted points; for each side of the cloth the angle is the argument
-    of the weighted sum of products of the horizontal parts (B. Horn, 1987, doi:10.1364/
-    JOSAA.4.000629, in the plane), and the side with the smaller remainder wins.
+    Solves weighted least squares over the points. For each side of the cloth the angle is the
+    argument of the weighted sum of products of the horizontal parts (B. Horn, 1987, doi:10.1364/
+    JOSAA.4.000629, in the plane). The side with the smaller residual is taken.
 
     Args:
-        observed: seen points [m], world, z up.
-        canonical: their canonical positions [m].
-        weights: confidence of each canonical position, not negative. When all are 0 they are equal.
+        observed: observed points [m], world, z up.
+        canonical: canonical positions of the points [m].
+        weights: confidence of each canonical position, not negative. If all are 0, the points are
+            weighted equally.
     """
     share = weights if weights.sum() > 0 else np.ones(len(weights))
     share = share / share.sum()

@@ -1,6 +1,6 @@
-"""Whether the network can be asked here: what must be installed, and the weights that come along.
+"""Availability of the network: the modules that must be installed, and the packaged weights.
 
-Nothing is loaded to find out: tracking asks this before it decides where its first mesh comes from.
+Nothing is loaded, because tracking checks this before it decides where its first mesh comes from.
 """
 
 from importlib.util import find_spec
@@ -14,11 +14,11 @@ SHIPPED = Path(__file__).parent / "weights"
 
 
 def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
-    """Those of the modules, by default of the extra, that are not installed."""
+    """Return those of the modules, by default of the extra, that are not installed."""
     return [name for name in wanted or EXTRA if find_spec(name) is None]
 
 
 def shipped_weights() -> Path | None:
-    """The weights of the token network that come with the package; None when none do."""
+    """Return the packaged weights of the token network; None if there are none."""
     path = SHIPPED / "tokens.safetensors"
     return path if path.is_file() else None

@@ -1,4 +1,4 @@
-"""Garments that nobody has measured: the cuts that are tried, each in any width and length."""
+"""Cuts that are tried for garments of unknown size, each in any width and length."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,14 +13,14 @@ from clothtrack.reconstruction.isometric_fit import IsometricFit
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 
 TOWEL_ASPECTS = (1.0, 0.75, 0.55)
-"""Shorter over longer side of towels from which a search begins."""
+"""Shorter over longer side of the towels that a search starts from."""
 
 _SHIRTS = {
     "wide T-shirt": ShirtOutline(),
     "narrow T-shirt": ShirtOutline(body=0.64, sleeve=0.2, sleeve_angle_rad=0.4),
     "sweater": ShirtOutline(body=0.8, sleeve=0.72, sleeve_angle_rad=0.75, cuff=0.14),
 }
-"""Shirts from which a search begins."""
+"""Shirts that a search starts from."""
 
 _TROUSERS = {
     "trousers": TrousersOutline(),
@@ -28,18 +28,18 @@ _TROUSERS = {
         waist=0.36, hip=0.45, rise=0.5, spread_rad=0.15, thigh=0.47, cuff=0.4
     ),
 }
-"""Trousers from which a search begins."""
+"""Trousers that a search starts from."""
 
 
 @dataclass(frozen=True, eq=False)
 class KnownGarment:
-    """A garment of known cut and size, ready to be asked about and to be laid.
+    """A garment of known cut and size, with its tokens and its fit.
 
     Attributes:
-        cut: what it is called.
+        cut: name of the cut.
         mesh: the flat garment, canonical coordinates filled [m].
-        tokens: of the mesh.
-        device: of what is drawn.
+        tokens: tokens of the mesh.
+        device: device for rendering.
     """
 
     cut: str
@@ -49,7 +49,7 @@ class KnownGarment:
 
     @classmethod
     def of(cls, mesh: ClothMesh, cut: str = "template", *, device: str = "cpu") -> "KnownGarment":
-        """A garment from its flat mesh.
+        """Return a garment from its flat mesh.
 
         Raises:
             InvalidConfigError: the mesh has no canonical coordinates.
@@ -58,7 +58,7 @@ class KnownGarment:
 
     @cached_property
     def fit(self) -> IsometricFit:
-        """Lays it into pictures."""
+        """Fit of the garment to pictures."""
         return IsometricFit(self.mesh, device=self.device)
 
     @cached_property
@@ -68,11 +68,11 @@ class KnownGarment:
         return float(width), float(length)
 
     def resized(self, width_m: float, length_m: float) -> "KnownGarment":
-        """The same cut, wider and longer.
+        """Return the same cut in another width and length.
 
         Args:
-            width_m: of the flat garment [m].
-            length_m: of the flat garment [m].
+            width_m: width of the flat garment [m].
+            length_m: length of the flat garment [m].
         """
         across, along = width_m / self.size_m[0], length_m / self.size_m[1]
         scale = np.array([across, along, np.sqrt(across * along)])
@@ -85,11 +85,11 @@ class KnownGarment:
 
 @lru_cache(maxsize=8)
 def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
-    """Garments of a kind from which a search begins; the longer side is a meter.
+    """Return the garments of a kind that a search starts from; the longer side is 1 m.
 
     Args:
         kind: "towel", "tshirt" or "trousers".
-        vertex_count: of each mesh, about.
+        vertex_count: approximate vertex count of each mesh.
     """
     makers: dict[str, Callable[..., ClothMesh]] = {}
     if kind == "towel":
@@ -110,13 +110,13 @@ def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
 def sized(
     kind: str, size_m: tuple[float, float], vertex_count: int, *, device: str = "cpu"
 ) -> KnownGarment:
-    """Return a garment of a width and a length: of the kind's cuts the one of like proportions.
+    """Return a garment of a given size; for trousers, the cut with the most similar proportions.
 
     Args:
         kind: "towel", "tshirt" or "trousers".
         size_m: width and length of the flat garment [m].
-        vertex_count: of the mesh, about.
-        device: of what is drawn.
+        vertex_count: approximate vertex count of the mesh.
+        device: device for rendering.
     """
     if kind != "trousers":
         mesh = garment(kind, vertex_count=vertex_count, size_m=size_m)
@@ -126,18 +126,18 @@ def sized(
 
 
 def _apart(size_m: tuple[float, float], cut: KnownGarment) -> float:
-    """Difference of the logarithms of width over length."""
+    """Return the absolute difference of the logarithms of width over length."""
     asked, own = size_m[0] / size_m[1], cut.size_m[0] / cut.size_m[1]
     return abs(float(np.log(asked / own)))
 
 
 def finer(coarse: KnownGarment, kind: str, vertex_count: int) -> KnownGarment:
-    """The same garment with more vertices.
+    """Return the same garment with more vertices.
 
     Args:
         coarse: one of `cuts`, resized.
-        kind: of it.
-        vertex_count: of the mesh, about.
+        kind: its kind.
+        vertex_count: approximate vertex count of the mesh.
     """
     if kind == "towel":
         mesh = garment(kind, vertex_count=vertex_count, size_m=coarse.size_m)

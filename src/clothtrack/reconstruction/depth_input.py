@@ -1,4 +1,4 @@
-"""A depth picture to reconstruct: from a recording, or one file and what is known of its camera."""
+"""The depth picture to reconstruct, from a recording or from one file with camera parameters."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,32 +27,32 @@ from clothtrack.recordings.segmentation import LOWEST_M, HeightSegmenter
 from clothtrack.recordings.store import read_recording
 
 _USUAL_FOCAL = 0.94
-"""Focal length per width of the picture of a usual depth camera: 56 degrees across."""
+"""Focal length over picture width of a usual depth camera: 56 degrees across."""
 
 _DISTANCES_M = (0.05, 20.0)
-"""Between which a table is looked for: beyond, the depth's unit is another."""
+"""Range of plausible table distances [m]; outside it, the depth's unit is probably another."""
 
 _LEAST_TABLE = 0.05
-"""Where the cloth leaves less than this share of the picture to the table, no plane is fitted."""
+"""Share of the picture that must show the table for a plane to be fitted."""
 
 _DISTANCE_STEP_M = 0.004
 
 
 @dataclass(frozen=True, eq=False)
 class DepthInput:
-    """What the network is asked about.
+    """Input of a reconstruction network.
 
     Attributes:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: where cloth was measured.
-        camera: that took it; world z up.
-        table: what the cloth lies on.
-        kind: the garment, when it is known.
-        size_m: its width and length [m], when they are known.
-        table_source: where the camera's place over the table is from: the recording says it, a
-            plane is fitted to the depth, or the camera is assumed to look straight down.
+        mask: pixels where cloth was measured.
+        camera: camera that took the picture; world z up.
+        table: table that the cloth lies on.
+        kind: kind of garment, if known.
+        size_m: width and length of the garment [m], if known.
+        table_source: source of the camera pose over the table: the recording states it, a plane is
+            fitted to the depth, or the camera is assumed to look straight down.
         table_residual_m: root mean square distance of the table's pixels from the fitted plane
-            [m]; None where none is fitted.
+            [m]; None if none is fitted.
     """
 
     depth_m: Float[np.ndarray, "height width"]
@@ -65,7 +65,7 @@ class DepthInput:
     table_residual_m: float | None = None
 
     def scaled(self, factor: float) -> "DepthInput":
-        """The same picture of a world that is larger by a factor."""
+        """Return the same picture of a world that is larger by a factor."""
         table = self.table
         if table is not None:
             table = replace(table, point=np.asarray(table.point) * factor)
@@ -82,7 +82,7 @@ class DepthInput:
         )
 
     def turned(self, angle_rad: float) -> "DepthInput":
-        """The same picture of a world that is turned about the vertical through its origin."""
+        """Return the same picture of a world turned about the vertical through its origin."""
         turn, table = about_vertical(angle_rad), self.table
         if table is not None:
             table = replace(table, point=turn @ table.point, normal=turn @ table.normal)
@@ -90,10 +90,10 @@ class DepthInput:
 
 
 def from_recording(folder: Path, frame: int) -> DepthInput:
-    """A frame of a recording.
+    """Read a frame of a recording.
 
     Raises:
-        InvalidRecordingError: it cannot be read, or has no such frame, or that has neither depth
+        InvalidRecordingError: it cannot be read, has no such frame, or the frame has neither depth
             nor a cloud.
     """
     recording = read_recording(folder)
@@ -113,13 +113,13 @@ def from_cloud(
     kind: str | None = None,
     size_m: tuple[float, float] | None = None,
 ) -> DepthInput:
-    """Points of a cloth [m], world, z up, as a camera straight above would have measured them.
+    """Render points of a cloth [m], world, z up, as measured by a camera straight above.
 
     Args:
-        points: of one camera, or of several that were merged.
-        table: horizontal; what the cloth lies on or is held over.
-        kind: the garment, when it is known.
-        size_m: its width and length [m], when they are known.
+        points: points of one camera, or merged points of several.
+        table: horizontal table that the cloth lies on or is held over.
+        kind: kind of garment, if known.
+        size_m: width and length of the garment [m], if known.
 
     Raises:
         InvalidRecordingError: there are too few points.
@@ -137,16 +137,16 @@ def from_picture(
     principal_point: tuple[float, float] | None = None,
     table_distance_m: float | None = None,
 ) -> DepthInput:
-    """A 16-bit depth picture of a camera that looks down on a table.
+    """Read a 16-bit depth picture of a camera that looks down on a table.
 
     Args:
         path: PNG file.
-        mask: picture of where the cloth is; what stands out of the table when None.
+        mask: mask picture of the cloth; when None, what rises above the table is cloth.
         depth_unit_m: meters per unit of the file.
         focal: focal length [pixels]; that of a usual camera when None.
         principal_point: column and row [pixels]; the middle of the picture when None.
-        table_distance_m: from a camera that looks straight down to the table [m]; when None, the
-            table's plane is fitted to the depth (`from_depth`).
+        table_distance_m: distance to the table of a camera that looks straight down [m]; when
+            None, the table's plane is fitted to the depth (`from_depth`).
 
     Raises:
         InvalidRecordingError: a file cannot be read, sizes differ, nothing was measured, or no
@@ -174,20 +174,20 @@ def from_depth(
     principal_point: tuple[float, float] | None = None,
     table_distance_m: float | None = None,
 ) -> DepthInput:
-    """Measured depth [m] of a camera that looks down on a table.
+    """Return the input for measured depth [m] of a camera that looks down on a table.
 
-    The table is the plane that most of the depth beside the cloth lies on, however tilted. It is
-    the world's z = 0, and the origin is in the middle of the picture. Where the cloth leaves
-    hardly any table (`_LEAST_TABLE`), the camera is assumed to look straight down, from the most
-    frequent depth.
+    The table is the plane that most of the depth beside the cloth lies on, at any tilt. It becomes
+    the world's z = 0, and the origin is in the middle of the picture. If hardly any table is
+    visible (`_LEAST_TABLE`), the camera is assumed to look straight down, at a height equal to the
+    most frequent depth.
 
     Args:
-        depth: 0 where nothing was measured.
-        name: what messages call it.
-        mask: as for `from_picture`, and so are the others.
+        depth: measured depth [m]; 0 where nothing was measured.
+        name: name for messages.
+        mask: as for `from_picture`, like the arguments below.
         focal: focal length [pixels].
         principal_point: column and row [pixels].
-        table_distance_m: from a camera that looks straight down to the table [m].
+        table_distance_m: distance to the table of a camera that looks straight down [m].
 
     Raises:
         InvalidRecordingError: the mask cannot be read, sizes differ, nothing was measured, no
@@ -250,9 +250,9 @@ def _fitted_table(
     camera: Camera,
     name: str,
 ) -> tuple[Float[np.ndarray, "4 4"], float] | None:
-    """World from camera on the table beside the cloth, and the table's residual [m].
+    """Return the pose of the camera (world from camera) over the table, and its residual [m].
 
-    None where hardly any table was measured.
+    None if hardly any table was measured.
     """
     beside = depth if cloth is None else off_cloth(depth, cloth)
     measured = int((beside > 0).sum())
@@ -276,7 +276,7 @@ def _fitted_table(
 
 
 def _usual_depth(depth: Float[np.ndarray, "height width"], name: str) -> float:
-    """The most frequent depth [m]: the table's, in a picture of a cloth on a table."""
+    """Return the most frequent depth [m], which is the table's for a cloth on a table."""
     measured = depth[depth > 0]
     if len(measured) == 0:
         raise InvalidRecordingError(

@@ -1,7 +1,7 @@
-"""What a reconstruction network must answer, and what is known of each design without loading it.
+"""The interface of reconstruction networks, and a description of each design that loads nothing.
 
-The token network is the core's own. Packages bring others as entry points of `clothtrack.networks`
-(`model_loading.designs`).
+The core has the token network. Other packages provide designs as entry points of
+`clothtrack.networks` (`model_loading.designs`).
 """
 
 from collections.abc import Callable
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Reconstructor(Protocol):
-    """A trained network that makes meshes of pictures.
+    """A trained network that makes meshes from pictures.
 
     Attributes:
-        states_error: whether it says how far off each vertex may be.
+        states_error: whether it predicts the error of each vertex.
     """
 
     states_error: bool
@@ -41,20 +41,20 @@ class Reconstructor(Protocol):
         observation: "Observation | None" = None,
         device: str = "cpu",
     ) -> "NetworkMesh":
-        """Return the full mesh behind a depth picture.
+        """Return the full mesh of the cloth in a depth picture, hidden layers included.
 
         Args:
             picture: depth, mask, camera and table; world z up.
             kind: "towel", "tshirt" or "trousers", as far as the network knows them.
-            method: "template" lays the garment's own mesh into the picture; "implicit" takes the
+            method: "template" fits the garment's own mesh to the picture; "implicit" takes the
                 surface of a predicted field and may find none.
-            size_m: width and length of the garment when known [m]; else taken from the picture.
+            size_m: width and length of the garment when known [m]; else estimated from the picture.
             template: the flat garment itself, canonical coordinates filled; instead of `size_m`.
-            vertex_count: of a template that is made here, about.
+            vertex_count: approximate vertex count of a template that is made here.
             refined: fine-tune the mesh to the picture.
-            untangle: undo passages of the mesh through itself, before it is fine-tuned and after.
-            observation: what it is fine-tuned to; the picture's own points when None.
-            device: where to compute.
+            untangle: remove self-intersections of the mesh, before it is fine-tuned and after.
+            observation: observation that it is fine-tuned to; the picture's own points when None.
+            device: compute device.
 
         Raises:
             InvalidConfigError: the network is for another category, or makes no mesh by this
@@ -71,19 +71,19 @@ class Design:
     Nothing is imported before one of the functions is called.
 
     Attributes:
-        name: of the design.
+        name: name of the design.
         networks: names of its sizes, for `clothtrack pretrain --network`.
-        extra: of clothtrack, which the design needs.
-        modules: that the extra brings.
-        recognizes: whether weights that were read are of this design.
-        load: `Reconstructor` of weights, for a kind of garment and a device.
-        configuration: how it is trained: a frozen dataclass by the name of a training ("pretrain",
-            "finetune", "finetune_short" or "paper"), a name of `networks` and a seed. Its fields
-            are the settings of `pretrain` and `finetune`.
-        pretrain: from states, a configuration and a folder, optionally `start` (file of weights),
-            `hours` (of wall time), `processes` and `progress`.
-        finetune: from weights, labeled recordings, a configuration and a folder, optionally
-            `processes` and `progress`.
+        extra: extra of clothtrack that the design needs.
+        modules: modules that the extra installs.
+        recognizes: function that tells whether weights belong to this design.
+        load: function that makes a `Reconstructor` from weights, a kind of garment and a device.
+        configuration: function that makes the training settings, a frozen dataclass, from the name
+            of a training ("pretrain", "finetune", "finetune_short" or "paper"), a name of
+            `networks` and a seed. Its fields are the settings of `pretrain` and `finetune`.
+        pretrain: training from states, a configuration and a folder, optionally `start` (file of
+            weights), `hours` (of wall time), `processes` and `progress`.
+        finetune: training from weights, labeled recordings, a configuration and a folder,
+            optionally `processes` and `progress`.
     """
 
     name: str

@@ -1,9 +1,8 @@
-"""How well a mesh explains a picture: its outline, its surface, its layers, with what effort.
+"""Scores how well a mesh explains a picture: outline, surface, layers, tension and bending.
 
-All terms are without a unit and smaller where the mesh is better, so that sizes and cuts of a
-garment compare. What a garment of a wrong size does to them: one that is too small is stretched or
-leaves part of the cloth bare; one that is too large is compressed, reaches beyond the cloth or lies
-in ripples.
+All terms are dimensionless and smaller for a better mesh, so that sizes and cuts of a garment are
+comparable. A garment of a wrong size raises them: if too small, it is stretched or leaves part of
+the cloth uncovered; if too large, it is compressed, reaches beyond the cloth or has ripples.
 """
 
 from dataclasses import dataclass
@@ -19,15 +18,15 @@ from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.seen_cloth import SeenCloth
 
 OUTLINE, SURFACE, TENSION, LAYERS, BENDING = 1.0, 1.0, 2.0, 0.05, 0.005
-"""Weights of the terms of `Explanation`. Of simulated folds, each laid in nine sizes and as several
-answers of the network say, these take nearly the true size and nearly the best answer; twice or
-half of any of them changes little."""
+"""Weights of the terms of `Explanation`. On simulated folds, each fitted in nine sizes and to
+several answers of the network, they select nearly the true size and nearly the best answer.
+Doubling or halving any of them changes little."""
 
 CELLS = 16
 """Cells along each side of the picture in which layers are counted."""
 
 _LEAST_CELLS = 6
-"""Fewer cells than this say nothing of layers."""
+"""With fewer cells than this, layers are not scored."""
 
 _COVERED = 0.6
 """A cell counts when more than this share of it shows cloth."""
@@ -35,17 +34,17 @@ _COVERED = 0.6
 
 @dataclass(frozen=True)
 class Explanation:
-    """How far a mesh is from a picture, and how much it suffers there.
+    """Misfit of a mesh to a picture, and its deformation.
 
     Attributes:
         outline: 1 minus intersection over union of the silhouettes from above.
-        surface: distance between the visible and the measured surface, root of the mean square of
-            both directions, over the root of the area that is seen.
-        tension: mean absolute relative change of the edges' lengths.
+        surface: root mean square distance between the visible and the measured surface, both
+            directions, over the root of the observed area.
+        tension: mean absolute relative change of the edge lengths.
         layers: 1 minus the rank correlation, over cells of the picture, of the cloth's height over
-            the table with the number of layers that the mesh has there; 1 where too few cells say.
-        bending: length of a garment's creases, each counted by its angle over a half turn, over the
-            longer side of the garment.
+            the table with the number of mesh layers there; 1 with too few cells.
+        bending: length of a garment's creases, each weighted by its angle over a half turn, over
+            the longer side of the garment.
     """
 
     outline: float
@@ -56,7 +55,7 @@ class Explanation:
 
     @property
     def score(self) -> float:
-        """The weighted sum of the terms: what a search makes small."""
+        """Weighted sum of the terms, which a search minimizes."""
         return (
             OUTLINE * self.outline
             + SURFACE * self.surface
@@ -71,7 +70,7 @@ class Explainer:
 
     Args:
         rest: the flat garment [m].
-        cloth: what was seen.
+        cloth: the observed cloth.
         device: "cpu" or "cuda:0".
     """
 
@@ -80,11 +79,11 @@ class Explainer:
         self._rasterizer = Rasterizer(rest.faces, cloth.camera, device=device)
 
     def __call__(self, vertices: Float[np.ndarray, "vertices 3"]) -> Explanation:
-        """How well the garment with these vertices [m] explains what was seen."""
+        """Return how well the garment with these vertices [m] explains the observed cloth."""
         cloth, rest = self._cloth, self._rest
         depth = self._rasterizer.render(vertices).depth
         drawn, seen = np.isfinite(depth), cloth.seen
-        # Where nothing could have been seen, a mesh may lie or not.
+        # In unobservable pixels, cover by the mesh is neither rewarded nor penalized.
         against = drawn & (seen | ~cloth.free)
         outline = 1.0 - (drawn & seen).sum() / max(int((against | seen).sum()), 1)
         ends = vertices[rest.edges]
@@ -137,7 +136,7 @@ class Explainer:
 
     @cached_property
     def _hinges(self) -> tuple[Int[np.ndarray, "hinges 2"], Float[np.ndarray, " hinges"]]:
-        """The two faces at each inner edge, and its length at rest [m]."""
+        """The two faces at each interior edge, and its rest length [m]."""
         faces, count = self._rest.faces, np.int64(self._rest.vertex_count)
         sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         keys = sides[:, 0] * count + sides[:, 1]
@@ -149,7 +148,7 @@ class Explainer:
 
 
 def _rank_correlation(a: Float[np.ndarray, " cells"], b: Float[np.ndarray, " cells"]) -> float:
-    """Spearman's; 0 where one of them is everywhere the same."""
+    """Return Spearman's rank correlation; 0 if either input is constant."""
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return 0.0
     return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])

@@ -1,4 +1,4 @@
-"""The whole fit of one answer: in its place, in layers, and without passages through itself."""
+"""The complete fit of one answer: placed, with ordered layers, and without self-intersections."""
 
 from dataclasses import replace
 
@@ -10,11 +10,11 @@ from clothtrack.recordings.recording import Table
 from clothtrack.simulation.untangling import Untangler, Untangling
 
 SEEN_MOBILITY = 0.3
-"""Mobility of a vertex that is seen when a finished fit is taken apart: it lies where it was
-measured, and what is hidden was guessed."""
+"""Mobility of a visible vertex in the last untangling. It is low because visible vertices were
+measured, while hidden ones were guessed."""
 
 _LAST_ROUNDS = 30
-"""Most rounds in which what still crosses is taken apart wherever it is seen."""
+"""Maximum rounds of a final untangling that moves visible vertices as freely as hidden ones."""
 
 
 def finished(
@@ -26,18 +26,18 @@ def finished(
     opposite: bool = False,
     device: str = "cpu",
 ) -> Untangling:
-    """A garment where an answer and a picture want it.
+    """Return the complete fit of a garment to a prediction and a picture.
 
-    The cloth is laid, its layers are put in the order that the network gives them, and what
-    crosses is taken apart. That moves what was seen, so that the cloth is drawn to the picture once
-    more, layers in the order that they have by now, and the last crossings are taken apart gently.
+    The garment is fitted, its layers are put in the order that the network predicts, and crossings
+    are untangled. Untangling moves visible vertices, so the cloth is attracted to the picture once
+    more, with layers in their current order, and the last crossings are untangled gently.
 
     Args:
-        fit: of the garment.
-        guide: what the network says.
-        cloth: what was seen.
-        table: what the cloth lies on.
-        opposite: lay what the network puts on top below.
+        fit: fit of the garment.
+        guide: the network's prediction.
+        cloth: the observed cloth.
+        table: table that the cloth lies on.
+        opposite: reverse the layer order that the network predicts.
         device: "cpu" or "cuda:0".
     """
     apart = Untangler(fit.rest, device=device)

@@ -1,4 +1,4 @@
-"""A reconstruction of the first frame as tracking starts from it: front up, and flat at rest."""
+"""Prepares a first-frame reconstruction as the start of tracking: front up, and flat at rest."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,22 +10,22 @@ from clothtrack.reconstruction.alignment_frame import align
 from clothtrack.recordings.recording import Table
 
 _SYMMETRIES = {
-    # Turned by half about each axis: without marks nobody can tell. Turned by a quarter it would
-    # be a towel of other sides: the convention lays the longer one along x, so that only a square
-    # one has a quarter turn as well, and it is no member.
+    # Half turns about each axis, which are indistinguishable without marks. The convention puts
+    # the longer side along x, so a quarter turn would give a towel of other sides. Only a square
+    # towel has a quarter turn as well, and it is not included.
     "towel": ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
-    # Turned over about the line from hem to neck: front and back look alike, left and right too.
+    # A half turn about the line from hem to neck: front and back look alike, left and right too.
     "tshirt": ((1, 1, 1), (-1, 1, -1)),
 }
 
 
 def symmetries(kind: str) -> Float[np.ndarray, "symmetries 3"]:
-    """Signs of x, y and z about the origin that relabel the cloth as a look-alike.
+    """Return the symmetries of the cloth, as signs of x, y and z about the origin.
 
-    The first one changes nothing. Each is a turn of the canonical pose by half, so the relabeled
-    cloth is a garment of the same category; which of them it is cannot be told from depth.
+    The first one is the identity. Each other is a half turn of the canonical pose, so the relabeled
+    cloth is a garment of the same category. Depth cannot distinguish them.
 
-    A towel has its longer side along x: a quarter turn is none of them.
+    A towel has its longer side along x, so a quarter turn is not among them.
 
     Raises:
         InvalidConfigError: for a category without a canonical pose.
@@ -40,16 +40,16 @@ def symmetries(kind: str) -> Float[np.ndarray, "symmetries 3"]:
 def front_up(
     mesh: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
 ) -> Float[np.ndarray, "vertices 3"]:
-    """The same cloth with its points named so that its front faces up, where names are a guess.
+    """Return the vertex positions relabeled by the symmetry whose front faces up most.
 
-    Front and back of a garment without marks look alike, and the network names them as it pleases.
-    Before anything has happened the convention decides: of all look-alike namings, the one whose
-    front looks up most. Each vertex goes to where its look-alike partner is; where the partner's
-    layer is cut deeper, as at the neck, it goes on beyond the edge.
+    Front and back of a garment without marks look alike, so the network's choice between them is
+    arbitrary. In the first frame a convention decides: of all symmetries, the one whose front faces
+    up most. Each vertex moves to the position of its symmetric partner. Where the partner's layer
+    is cut deeper, as at the neck, the vertex is extrapolated beyond the edge.
 
     Args:
         mesh: the garment, canonical coordinates filled.
-        positions: where its vertices are in the world [m], z up.
+        positions: vertex positions in the world [m], z up.
         kind: "towel" or "tshirt".
     """
     canonical, faces = np.asarray(mesh.canonical, np.float64), mesh.faces
@@ -60,7 +60,7 @@ def front_up(
         if not (signs > 0).all():
             named = carried_over(canonical * signs, canonical, positions, faces)
         namings.append(named)
-    # The first of those that look up as much: the network's own names where they do.
+    # The first of those that face up equally, which is the network's own labeling if it is one.
     facing = np.array([outward @ _upward_area(named, faces) for named in namings])
     return namings[int(np.argmax(facing > 0.99 * facing.max()))]
 
@@ -71,10 +71,10 @@ def carried_over(
     positions: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
 ) -> Float[np.ndarray, "points 3"]:
-    """Where points of the canonical pose are in the world [m].
+    """Return world positions [m] of points of the canonical pose.
 
-    A point beside the mesh, beyond a cut edge, lies on in the plane of the nearest triangle, as far
-    from it as in the canonical pose: at the edge itself such points would fall together.
+    A point beside the mesh, beyond a cut edge, is extrapolated in the plane of the nearest triangle
+    by its distance in the canonical pose. On the edge itself such points would coincide.
     """
     face, weights = closest_on_mesh(points, canonical, faces)
     there = interpolate(weights, positions[faces[face]])
@@ -93,7 +93,7 @@ def carried_over(
 def _upward_area(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, " faces"]:
-    """Area of each triangle as seen from above [m^2], negative where it looks down."""
+    """Return the area of each triangle seen from above [m^2], negative if it faces down."""
     a, b, c = (vertices[faces[:, corner], :2] for corner in range(3))
     return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
@@ -101,13 +101,13 @@ def _upward_area(
 def laid_flat(
     rest: ClothMesh, positions: Float[np.ndarray, "vertices 3"], table: Table, height_m: float
 ) -> ClothMesh:
-    """The flat garment on the table about where the cloth is: its rest shape in the world.
+    """Return the rest shape in the world: the flat garment on the table, aligned with the cloth.
 
     Args:
         rest: the flat garment in its own frame [m].
-        positions: where its vertices are in the world [m].
-        table: horizontal.
-        height_m: of its lowest vertices above the table [m].
+        positions: vertex positions of the cloth in the world [m].
+        table: horizontal table.
+        height_m: height of the lowest vertices above the table [m].
     """
     flat = rest.vertices.astype(np.float64)
     placed = align(positions.astype(np.float64), flat, rest.vertex_areas).to_world(flat)

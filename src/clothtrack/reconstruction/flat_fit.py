@@ -1,10 +1,10 @@
 """The mesh that tracking starts from: the recording's template, or a garment fitted to the cloth.
 
-Where the reconstruction network is not asked (`tracking.initial_state`) a flat towel or T-shirt is
-laid on the first cloud, its size measured from the cloud when the recording does not state it. What
-is fitted is the outline: the inside of a flat cloth says nothing about its size, and would only
-draw the edges inwards. Depth alone cannot tell a shirt's front from its back nor one corner of a
-towel from another: the front is taken to face up.
+If the reconstruction network is not used (`tracking.initial_state`), a flat towel or T-shirt is
+fitted to the first cloud. Its size is measured from the cloud when the recording does not state it.
+Only the outline is fitted: the interior of a flat cloth carries no information about its size and
+would only draw the edges inwards. Depth alone cannot distinguish a shirt's front from its back or
+one corner of a towel from another, so the front is assumed to face up.
 """
 
 from dataclasses import dataclass
@@ -28,23 +28,24 @@ from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 FITTED_KINDS = ("towel", "tshirt")
 
 _RIM_M = 0.001
-"""How far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the cubes in
-which points are averaged, their mean is a quarter of a cube inside: 1 mm for the usual 4 mm."""
+"""Distance of the outermost points inside the cloth's edge [m]. The edge cuts the cubes in which
+points are averaged, so their mean is a quarter of a cube inside: 1 mm for the usual 4 mm."""
 
 FARTHEST_M = 10.0
-"""No vertex of a template is farther from its origin [m]: a file in millimeters is told by that."""
+"""Largest distance of a template vertex from the origin along x or y [m]; detects files in
+millimeters."""
 
 _STARTS = 12
-"""Directions that the fit is started from, equally spaced: one is within 15 degrees."""
+"""Number of equally spaced start angles of the fit; one is within 15 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlatFit:
-    """A flat garment where a cloud is.
+    """A flat garment fitted to a cloud.
 
     Attributes:
         mesh: the flat cloth in the world frame [m].
-        misfit_m: how far its outline is from the cloud's, root of the mean square [m].
+        misfit_m: root mean square distance of its outline from the cloud's [m].
     """
 
     mesh: ClothMesh
@@ -57,14 +58,15 @@ def flat_fit(
     """Fit a flat garment to a cloud, whether or not the recording has a template.
 
     Args:
-        recording: says what the cloth is and where the table is.
-        observation: the cloud of the first frame, flat cloth.
-        template: file of the garment's own mesh, lying flat; empty: a garment of the recording's
-            kind.
-        vertex_count: of a garment of the recording's kind, about.
+        recording: recording that states the kind of cloth and the table.
+        observation: cloud of the first frame, flat cloth.
+        template: file of the garment's own flat mesh; if empty, a garment of the recording's kind
+            is made.
+        vertex_count: approximate vertex count of a garment of the recording's kind.
 
     Raises:
-        InvalidRecordingError: the kind has no outline, or table or cloud are missing.
+        InvalidRecordingError: the kind has no outline, the table is missing, or the cloud has too
+            few points.
         InvalidMeshError: the template is larger than any garment.
     """
     if not template and recording.cloth.kind not in FITTED_KINDS:
@@ -125,16 +127,17 @@ def _fitted(
 
 
 GRID_M = 0.001
-"""Side of the squares [m] in which the covered part of the table is drawn."""
+"""Cell size [m] of the grid of the covered part of the table."""
 
 _CLOSED_M = 0.006
-"""Points nearer to each other than twice this [m] have cloth between them."""
+"""Half the distance [m] up to which two points have cloth between them."""
 
 _OUTLIER_M = 0.003
-"""Distance of outlines [m] from which a misfit counts less than its square: a curled corner."""
+"""Distance of outlines [m] above which the loss grows less than its square, as for a curled
+corner."""
 
 _OUTLINE_SPACING_M = 0.004
-"""Distance [m] at which outlines are compared."""
+"""Sample spacing [m] of the compared outlines."""
 
 
 class _CoveredRegion:
@@ -142,7 +145,7 @@ class _CoveredRegion:
 
     Args:
         cloud: points in the plane of the table [m].
-        rim_m: how far inside the cloth's edge the outermost points lie [m].
+        rim_m: distance of the outermost points inside the cloth's edge [m].
     """
 
     def __init__(self, cloud: Float[np.ndarray, "points 2"], rim_m: float) -> None:
@@ -156,25 +159,25 @@ class _CoveredRegion:
         grown = _distance_inside(~hit) <= reach
         contour = _largest_outline(_distance_inside(grown) > reach)
         filled = cv2.fillPoly(np.zeros(shape, np.uint8), [contour], 1) > 0
-        # Half a cell on either side of the boundary belongs to neither distance.
+        # Neither distance includes the half cell on its side of the boundary.
         self._signed = _distance_inside(filled) - _distance_inside(~filled)
         self._signed += np.where(filled, -0.5, 0.5) * GRID_M + rim_m
         self.outline = _even_steps(self._to_plane(contour[:, 0].astype(np.float64)))
         self._rim_m = rim_m
 
     def depth(self, places: Float[np.ndarray, "places 2"]) -> Float[np.ndarray, " places"]:
-        """How far inside the cloth's edge places of the table are [m]; negative outside."""
+        """Return the depth of table positions inside the cloth's edge [m]; negative outside."""
         columns, rows = (places - self._origin).T / GRID_M - 0.5
         return map_coordinates(self._signed, [rows, columns], order=1, mode="nearest")
 
     def beyond(self, polygon: Float[np.ndarray, "corners 2"]) -> Float[np.ndarray, " outline"]:
-        """How far outside a counter-clockwise polygon the cloth's edge is [m], negative inside."""
+        """Return the distance of the cloth's edge outside a ccw polygon [m]; negative inside."""
         ahead = np.roll(polygon, -1, axis=0) - np.roll(polygon, 1, axis=0)
         normals = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         away, nearest = cKDTree(polygon).query(self.outline)
         across = np.einsum("od,od->o", self.outline - polygon[nearest], normals[nearest])
-        # Far from the polygon its normals say nothing.
+        # Far from the polygon its normals are meaningless.
         across = np.where(away < 2.0 * _OUTLINE_SPACING_M, across, np.copysign(away, across))
         return across + self._rim_m
 
@@ -185,7 +188,7 @@ class _CoveredRegion:
 def _unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
     """Return the silhouette of a flat garment of 1 m x 1 m [m], counter-clockwise, evenly sampled.
 
-    Garments grow along x and y in proportion, so that this is the outline of every size.
+    Garments scale in proportion along x and y, so this is the outline of every size.
     """
     return _outline_of(garment(kind, vertex_count=1000, size_m=(1.0, 1.0)))
 
@@ -208,10 +211,10 @@ def _fit_outline(
     start_angle: float,
     size_m: tuple[float, float] | None,
 ) -> OptimizeResult:
-    """Least squares between two outlines, each looking for the other.
+    """Solve a robust least-squares fit of two outlines, with residuals in both directions.
 
-    Variables are the place [m], the angle [rad] and, when the size is not given, the logarithms of
-    width and length.
+    Variables are the position [m], the angle [rad] and, when the size is not given, the logarithms
+    of width and length.
     """
     turned = _rotated(covered.outline, -start_angle)
     low, high = turned.min(axis=0), turned.max(axis=0)
@@ -237,7 +240,7 @@ def _fit_outline(
 
 
 _STEP = 1e-3
-"""Step of the numerical slope: the outline of drawn squares is rough below 1 mm."""
+"""Step of the numerical derivative; the outline of grid cells is rough below 1 mm."""
 
 
 def _largest_outline(mask: Bool[np.ndarray, "rows columns"]) -> np.ndarray:
@@ -246,14 +249,14 @@ def _largest_outline(mask: Bool[np.ndarray, "rows columns"]) -> np.ndarray:
 
 
 def _distance_inside(mask: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-    """Distance [m] of every set cell to the nearest one that is not."""
+    """Return the distance [m] of every set cell to the nearest unset one."""
     return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) * np.float32(GRID_M)
 
 
 def _even_steps(
     closed: Float[np.ndarray, "corners 2"], spacing_m: float = _OUTLINE_SPACING_M
 ) -> Float[np.ndarray, "samples 2"]:
-    """A closed polygon resampled at equal distances [m], counter-clockwise."""
+    """Return a closed polygon resampled at equal distances [m], counter-clockwise."""
     x, y = closed.T
     if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0:
         closed = closed[::-1]
@@ -269,7 +272,7 @@ def _rotated(points: Float[np.ndarray, "points 2"], angle: float) -> Float[np.nd
 
 
 def _plane_axes(table: Table) -> Float[np.ndarray, "3 3"]:
-    """Rows: two directions in the table and its normal, as close to the world's axes as can be."""
+    """Return rows of two table directions, the first nearest the world's x, and the normal."""
     normal = table.normal / np.linalg.norm(table.normal)
     first = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     if np.linalg.norm(first) < 1e-3:

@@ -1,4 +1,4 @@
-"""A picture of a flat garment, and where its pixels are on the table."""
+"""Pictures of a flat garment, with the outline of the garment on the table."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +24,10 @@ from clothtrack.recordings.segmentation import (
 from clothtrack.recordings.store import read_recording
 
 _FLATTEST_M = 0.05
-"""A garment with a twentieth of its pixels higher above the table than this [m] is not flat."""
+"""A garment is not flat if a twentieth of its pixels are higher above the table than this [m]."""
 
 _RIM_SHARE = 0.06
-"""The rim of a color picture, over its width, that shows nothing but the table."""
+"""Width of the rim of a color picture that shows only the table, over the picture's width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,9 @@ class FlatPicture:
     """A flat garment as a camera saw it from above.
 
     Attributes:
-        outline: of the garment, on the table [m].
-        shown: the picture to draw on, red first.
-        name: what messages call it.
+        outline: outline of the garment on the table [m].
+        shown: picture to draw on, RGB.
+        name: name for messages.
     """
 
     outline: Silhouette
@@ -46,7 +46,7 @@ class FlatPicture:
 
 
 def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
-    """A frame of a recording in which the garment lies flat.
+    """Read a frame of a recording in which the garment lies flat.
 
     Raises:
         InvalidRecordingError: it cannot be read, has no table, depth or cloth there, or the cloth
@@ -72,7 +72,7 @@ def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
 
 
 def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> FlatPicture:
-    """A 16-bit depth picture; `of_picture` as for `depth_input.from_picture`.
+    """Read a 16-bit depth picture; `of_picture` as for `depth_input.from_picture`.
 
     Raises:
         InvalidRecordingError: a file cannot be read, or the cloth is not flat.
@@ -87,7 +87,7 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> Fl
 
     picture = from_picture(path, mask=mask, **of_picture)
     table = picture.table or Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    # The rim that depth leaves out belongs to the outline.
+    # The outline includes the rim of the cloth, where depth is missing.
     whole = (
         read_mask(mask)
         if mask is not None
@@ -97,13 +97,13 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> Fl
 
 
 def flat_color(path: Path, meters_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
-    """A color picture or a mask of a camera that looks straight down.
+    """Read a color picture or a mask of a camera that looks straight down.
 
     Args:
-        path: PNG; a gray one is the mask itself, in a color one the garment is what has another
-            color than the rim.
-        meters_per_pixel: on the table.
-        mask: picture of where the garment is.
+        path: PNG; a gray picture is the mask itself, in a color picture the garment is what differs
+            in color from the rim.
+        meters_per_pixel: size of a pixel on the table [m].
+        mask: mask picture of the garment.
 
     Raises:
         InvalidRecordingError: a file cannot be read, or sizes differ.
@@ -167,14 +167,14 @@ def _measured(
 def _unlike_the_rim(
     shown: UInt8[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
-    """What has another color than the table, whose light may change across the picture."""
+    """Return pixels that differ in color from the table, whose lighting may vary."""
     height, width = shown.shape[:2]
     lab = cv2.cvtColor(shown.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
     y, x = np.mgrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j]
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
     rim = np.maximum(np.abs(x), np.abs(y)) > 1.0 - 2.0 * _RIM_SHARE
     light = np.linalg.lstsq(terms[rim], lab[rim], rcond=None)[0]
-    # A shadow changes the lightness alone.
+    # Lightness has half weight, because a shadow changes lightness alone.
     apart = np.linalg.norm((lab - terms @ light) * (0.5, 1.0, 1.0), axis=2)
     apart = cv2.GaussianBlur(np.clip(4.0 * apart, 0, 255).astype(np.uint8), (0, 0), 1.0)
     _, marked = cv2.threshold(apart, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
@@ -182,7 +182,7 @@ def _unlike_the_rim(
 
 
 def _plane_axes(table: Table) -> Float[np.ndarray, "2 3"]:
-    """Two directions in the table that are a right-handed pair seen from above."""
+    """Return two directions in the table that are a right-handed pair seen from above."""
     along = np.eye(3)[int(np.abs(table.normal).argmin())]
     first = along - (along @ table.normal) * table.normal
     first /= np.linalg.norm(first)
@@ -190,7 +190,7 @@ def _plane_axes(table: Table) -> Float[np.ndarray, "2 3"]:
 
 
 def _shades(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
-    """A depth picture in gray, near things bright."""
+    """Return a depth picture in gray, with near points bright."""
     seen = depth[depth > 0]
     low, high = np.percentile(seen, [1, 99]) if len(seen) else (0.0, 1.0)
     share = np.clip((high - depth) / max(float(high - low), 1e-6), 0.0, 1.0)

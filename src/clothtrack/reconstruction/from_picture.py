@@ -1,7 +1,7 @@
-"""What becomes of one depth picture: a mesh, how it came about, and how it agrees with the picture.
+"""The result for one depth picture: a mesh, how it was made, and its agreement with the picture.
 
-Every network answers in these terms (`design.Reconstructor`), so that what is shown, tracked and
-measured is the same thing.
+Every network returns these types (`design.Reconstructor`), so that display, tracking and evaluation
+use the same data.
 """
 
 from collections.abc import Callable
@@ -24,34 +24,35 @@ if TYPE_CHECKING:
     from clothtrack.reconstruction.search import Choice
 
 Method = Literal["template", "implicit"]
-"""How a mesh is made: the garment's own mesh laid into the picture, or the surface of a predicted
+"""How a mesh is made: the garment's own mesh fitted to the picture, or the surface of a predicted
 field."""
 
 _SPACING_M = 0.004
-"""Side of the cubes [m] in which a picture's points are averaged, as the tracker does."""
+"""Side of the cubes [m] in which a picture's points are averaged, as in the tracker."""
 
 LOOSE_FIT_M = 0.02
-"""A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
+"""A mesh farther from its picture than this [m] is wrong, because layers lie closer together."""
 
 BOUND = 3.0
-"""Of a vertex's error over what the network expects of it, nine of ten are below."""
+"""Ratio of actual to predicted vertex error that nine of ten vertices stay below."""
 
 _RUNNERS_UP = 3
-"""Choices of the search that are reported after the best one."""
+"""Number of search choices that are reported after the best one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """What one depth picture became.
+    """Reconstruction of one depth picture by a network.
 
     Attributes:
-        mesh: the garment in the world [m], canonical coordinates filled; None without one.
+        mesh: the garment in the world [m], canonical coordinates filled; None if there is none.
         status: "template", "surface", or why there is no mesh.
-        camera: the virtual camera of the network's picture.
-        canonical_image: canonical position [m] of each pixel of cloth; not a number elsewhere.
-        confidence: of that position, the least sure axis, 0 to 1; 0 where no cloth is.
-        seen: the measured points with their canonical positions.
-        rest: the flat garment that was carried, vertex by vertex the mesh's; None for a surface.
+        camera: virtual camera of the network's picture.
+        canonical_image: canonical position [m] of each pixel of cloth; NaN elsewhere.
+        confidence: confidence of that position, of its least certain axis, 0 to 1; 0 where there is
+            no cloth.
+        seen: measured points with their canonical positions.
+        rest: flat garment with the same vertices as the mesh; None for a surface.
     """
 
     mesh: ClothMesh | None
@@ -64,12 +65,12 @@ class Reconstruction:
 
     @property
     def mean_confidence(self) -> float:
-        """Mean confidence where cloth is, 0 to 1; 0 where no pixel is."""
+        """Mean confidence over pixels of cloth, 0 to 1; 0 if there are none."""
         known = self.confidence[self.confidence > 0]
         return float(known.mean()) if known.size else 0.0
 
     def scaled(self, factor: float) -> "Reconstruction":
-        """The same in a world that is larger by a factor."""
+        """Return the same reconstruction in a world that is larger by a factor."""
         return Reconstruction(
             None if self.mesh is None else self.mesh.scaled(factor),
             self.status,
@@ -83,14 +84,13 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What fine-tuning made of a mesh.
+    """Result of fine-tuning a mesh.
 
     Attributes:
-        positions: vertices in the world [m]: of the start and all rounds, those nearest to the
-            cloud.
-        chamfer_m2: visible vertices against the cloud, both directions [m^2], at the start and
-            after each round.
-        chosen: whose positions these are; 0 is the start.
+        positions: vertices in the world [m], from the start or the round nearest to the cloud.
+        chamfer_m2: Chamfer distance between visible vertices and the cloud, both directions [m^2],
+            at the start and after each round.
+        chosen: index of the round that the positions are from; 0 is the start.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
@@ -100,24 +100,24 @@ class Refinement:
 
 @dataclass(frozen=True, eq=False)
 class NetworkMesh:
-    """What became of one picture.
+    """Complete result for one picture.
 
     Attributes:
-        mesh: the garment in the world [m], canonical coordinates filled; None without one.
+        mesh: the garment in the world [m], canonical coordinates filled; None if there is none.
         reconstruction: the network's part: the mesh before fine-tuning, canonical picture, status.
-        refinement: the fine-tuning; None when it was not asked for, or there was no mesh.
-        scale: what the world was multiplied by before the network saw it; 1 unless the mesh of
-            the picture as it is does not fit.
-        expected_error_m: mean distance of the vertices from their true places that the network
-            expects [m]; None from a network that does not say.
-        spread_m: the same of each vertex [m].
-        untangling: how the mesh was taken out of itself: crossings as the network's answer had them
-            and at the end; None when it was not asked for, or the flat garment is not known.
-        choices: garments that the token network was asked about and turns of the picture, best
-            explanation first: the first is the one whose mesh this is; none of another network.
-        opposite: computes the refined vertices [m] with the layers in the opposite order, which
-            depth tells hardly; None of a mesh that is not refined, or of another network than the
-            token network.
+        refinement: the fine-tuning; None if it was not requested, or there was no mesh.
+        scale: factor on the world before the network; 1 unless the mesh of the unscaled picture
+            does not fit.
+        expected_error_m: mean distance of the vertices from their true positions that the network
+            predicts [m]; None if the network predicts none.
+        spread_m: the same for each vertex [m].
+        untangling: removal of self-intersections, with the crossings of the network's answer and at
+            the end; None if it was not requested, or the flat garment is not known.
+        choices: garments and turns of the picture that the token network was queried with, best
+            explanation first; the first one has this mesh. Empty for other networks.
+        opposite: function that computes the refined vertices [m] with the layers in the opposite
+            order, which depth can hardly distinguish; None if the mesh is not refined, or for
+            networks other than the token network.
     """
 
     mesh: ClothMesh | None
@@ -131,20 +131,20 @@ class NetworkMesh:
     opposite: Callable[[], Float[np.ndarray, "vertices 3"]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what another process is sent: it cannot compute the opposite order."""
+        """Return the state to pickle, without `opposite`, which other processes cannot compute."""
         return {**self.__dict__, "opposite": None}
 
     @property
     def vertex_bounds_m(self) -> Float[np.ndarray, " vertices"] | None:
-        """How far off each vertex is at most, in nine of ten cases [m].
+        """Bound on the error of each vertex that holds in nine of ten cases [m].
 
-        None from a network that does not say how far off it may be.
+        None if the network does not predict its error.
         """
         return None if self.spread_m is None else BOUND * self.spread_m
 
 
 def observation_of(picture: "DepthInput") -> Observation:
-    """The cloud of one picture, as the tracker's alignment takes it."""
+    """Return the cloud of one picture, in the form that the tracker's alignment uses."""
     camera = picture.camera
     shown = picture.mask & (picture.depth_m > 0)
     return Observation(
@@ -158,16 +158,16 @@ def observation_of(picture: "DepthInput") -> Observation:
 
 
 def distance_from_picture(mesh: ClothMesh, picture: "DepthInput") -> float:
-    """Distance of the picture's points from the mesh, root of the mean square [m].
+    """Return the root mean square distance of the picture's points from the mesh [m].
 
-    It says that a mesh is wrong, never that it is right: what is hidden does not count, and names
-    do not either.
+    It can show that a mesh is wrong but never that it is right, because it ignores hidden cloth and
+    correspondences.
     """
     return distance_from_cloud(mesh, observation_of(picture).points)
 
 
 def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) -> float:
-    """Distance of points from the mesh, root of the mean square [m]."""
+    """Return the root mean square distance of points from the mesh [m]."""
     vertices = mesh.vertices.astype(np.float64)
     return float(np.sqrt(np.square(distance_to_mesh(points, vertices, mesh.faces)).mean()))
 
@@ -175,13 +175,13 @@ def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) 
 def figures_of(
     result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput", agreement: Agreement
 ) -> dict[str, Any]:
-    """Return what is reported of a reconstruction, ready for JSON.
+    """Return the reported figures of a reconstruction, ready for JSON.
 
     Args:
         result: the reconstruction.
         mesh: its mesh.
-        picture: what it was made from.
-        agreement: of the mesh with the picture.
+        picture: picture that it was made from.
+        agreement: agreement of the mesh with the picture.
     """
     reconstruction, refinement = result.reconstruction, result.refinement
     chamfer_m2 = () if refinement is None else refinement.chamfer_m2
@@ -191,7 +191,7 @@ def figures_of(
         "scale": result.scale,
         "vertices": mesh.vertex_count,
         "confidence": reconstruction.mean_confidence,
-        # Not a number where nothing of the mesh was seen, which JSON cannot say.
+        # NaN if nothing of the mesh was visible; JSON has no NaN.
         "chamfer_m2": [None if np.isnan(value) else value for value in chamfer_m2],
         "silhouette_iou": agreement.iou,
         "visible_chamfer_m2": agreement.chamfer_m2,
@@ -202,7 +202,7 @@ def figures_of(
 
 
 def _named(choices: "tuple[Choice, ...]") -> list[dict[str, Any]]:
-    """Garments and turns of the picture that were tried, ready for JSON; less is a better score."""
+    """Return garments and turns that were tried, ready for JSON; lower scores are better."""
     return [
         {
             "cut": one.cut,

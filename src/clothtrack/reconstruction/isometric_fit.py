@@ -1,11 +1,12 @@
-"""Lays a garment into a picture so that it keeps its lengths, bends little and has layers.
+"""Fits a garment to a picture, preserving edge lengths, low bending and the order of layers.
 
-A network's places regress to the mean: between them edges are a fifth too short, and a cloth of
-true lengths that is put there buckles into ripples. Here lengths, bending, the outline, the height
-of the cloth and the order of its layers are asked for together. Each iteration takes what every
-term would have (an edge of its length, a bend within what creases may have, a vertex in a pixel of
-the cloth), and solves for the vertices that come nearest to all of it: one sparse factorization a
-round, one substitution an iteration (S. Bouaziz et al., Projective dynamics, 2014).
+The vertex positions that a network predicts regress to the mean. Edges between them are a fifth too
+short, and a cloth of true lengths that is put there buckles into ripples. The fit therefore
+combines edge lengths, bending, the outline, the height of the cloth and the order of its layers.
+Each iteration projects onto every term (an edge of its rest length, a bend within the crease
+threshold, a vertex in a pixel of the cloth) and solves for the vertices nearest to all projections.
+It takes one sparse factorization per round and one substitution per iteration (S. Bouaziz et al.,
+Projective dynamics, 2014).
 """
 
 from dataclasses import dataclass
@@ -25,69 +26,70 @@ from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.reconstruction.smoothness import smoothness_matrix
 
 EDGES = (1.0, 1.0, 1.0, 3.0, 3.0, 10.0, 10.0, 30.0, 30.0)
-"""Weight of the edges' lengths in each round, against 1 for a vertex that is well seen: weak first,
-so that the cloth finds its place before it is stiff."""
+"""Weight of the edge lengths in each round, relative to 1 for a well-observed vertex. The first
+rounds are weak so that the cloth finds its place before it becomes stiff."""
 
 _GUIDED = 2
-"""The first so many rounds ask the network alone; in the later ones it counts less and less."""
+"""Number of first rounds that use the network alone; in later rounds its weight decreases."""
 
 _FADING = 0.4
-"""By what the network's weight is multiplied in every later round."""
+"""Factor on the network's weight in every later round."""
 
 ITERATIONS = 10
-"""Of each round."""
+"""Iterations per round."""
 
 _BEND = 10.0
 """Weight of bending."""
 
 _CREASE = 0.15
-"""Bending that costs no more the sharper it is: distance of a vertex from the mean of its
-neighbors, over the length of an edge. A fold is as cheap as a gentle bow, and ripples are not."""
+"""Bending above which the cost no longer grows: distance of a vertex from the mean of its
+neighbors, over the length of an edge. A sharp fold costs as much as a gentle bow; ripples cost
+more."""
 
 _PLACED = 0.1
-"""Weight of the place of a vertex that the network is sure of."""
+"""Weight of the predicted position of a vertex that the network is sure of."""
 
 _SURE = 0.02
-"""A spread of a place below this, over the garment's longer side, is as sure as any."""
+"""A position with a spread below this, over the garment's longer side, has full weight."""
 
 OFF_NAME, LATER_OFF = 0.05, 0.02
-"""A named point that misses its place by this, over the longer side, counts a quarter (S. Geman,
+"""A correspondence with this residual, over the longer side, has a quarter of its weight (S. Geman,
 D. McClure, 1987), at first and in later rounds."""
 
 NAMED = 600
-"""Named points that are used: more of them say the same."""
+"""Number of correspondences that are used; more of them are redundant."""
 
 DRAWN = 1.0
 """Weight of the measured surface for the visible vertices."""
 
 REACH = 0.1
-"""Measured points farther from the visible vertices than this, over the longer side, draw none."""
+"""Measured points farther from the visible vertices than this, over the longer side, are unused."""
 
 CONFINED, POLISHED_CONFINED = 3.0, 10.0
-"""Weight of the outline, the height and the order of layers for every vertex, while the cloth is
-laid and while it is polished."""
+"""Weight of the outline, the height and the order of layers for every vertex, in `IsometricFit.lay`
+and in `IsometricFit.polished`."""
 
 GAP_M = 0.002
-"""Distance at which layers are kept [m]: a little less than the thinnest have."""
+"""Distance at which layers are kept apart [m], a little less than that of the thinnest layers."""
 
 _PASSES = 3
-"""Over the pairs of layers in each iteration."""
+"""Passes over the pairs of layers in each iteration."""
 
 _VOTES = 4
-"""Of the order in which a network says that layers lie; that of a finished cloth needs one."""
+"""Votes on the layer order that a network predicts; the order of a finished cloth needs one."""
 
 _BEHIND_M = 0.003
-"""A vertex this much behind the surface that is seen is visible yet [m]."""
+"""A vertex at most this far behind the visible surface still counts as visible [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """What a network says of one garment in one picture.
+    """A network's prediction for one garment in one picture.
 
     Attributes:
         seen: measured points and their canonical positions [m].
-        places: where the vertices are [m].
-        spread_m: mean deviation of each place [m].
+        places: predicted vertex positions [m].
+        spread_m: mean deviation of each position [m].
         size_m: longer side of the flat garment [m].
     """
 
@@ -98,11 +100,11 @@ class Guide:
 
 
 class IsometricFit:
-    """Fits of one garment, in one size or several.
+    """Fits of one garment to pictures.
 
     Args:
         rest: the flat garment, canonical coordinates filled [m].
-        device: of the visibility.
+        device: device of the visibility check.
     """
 
     def __init__(self, rest: ClothMesh, *, device: str = "cpu") -> None:
@@ -128,14 +130,14 @@ class IsometricFit:
         layered: bool = True,
         order_m: Float[np.ndarray, " vertices"] | None = None,
     ) -> Float[np.ndarray, "vertices 3"]:
-        """The garment's vertices [m] where the network and the picture want them.
+        """Return the garment's vertices [m] fitted to the network's prediction and the picture.
 
         Args:
-            guide: what the network says.
-            cloth: what was seen.
-            edges: weight of the edges' lengths in each round.
-            layered: keep layers that lie on each other in their order.
-            order_m: heights that say which layer is on top [m]; those of the network by default.
+            guide: the network's prediction.
+            cloth: the observed cloth.
+            edges: weight of the edge lengths in each round.
+            layered: keep overlapping layers in their order.
+            order_m: heights that decide which layer is on top [m]; the network's by default.
         """
         names = _Names.of(guide, self.rest)
         sure = np.minimum((_SURE * guide.size_m / np.maximum(guide.spread_m, 1e-9)) ** 2, 1.0)
@@ -165,13 +167,13 @@ class IsometricFit:
         size_m: float,
         edges: tuple[float, ...] = (10.0, 30.0),
     ) -> Float[np.ndarray, "vertices 3"]:
-        """The vertices [m] drawn to what was seen, by layers that lie as they do.
+        """Return the vertices [m] attracted to the observed cloth, in their current layer order.
 
         Args:
-            vertices: where they are [m].
-            cloth: what was seen.
+            vertices: current positions [m].
+            cloth: the observed cloth.
             size_m: longer side of the flat garment [m].
-            edges: weight of the edges' lengths in each round.
+            edges: weight of the edge lengths in each round.
         """
         for edge in edges:
             drawn = self._drawn(vertices, cloth, REACH * size_m)
@@ -187,14 +189,14 @@ class IsometricFit:
         self, vertices: Float[np.ndarray, "vertices 3"], order_m: Float[np.ndarray, " vertices"],
         table_m: float, *, keep: float = 0.3, votes: int = _VOTES,
     ) -> Float[np.ndarray, "vertices 3"]:  # fmt: skip
-        """The vertices [m] at heights at which layers lie apart.
+        """Return the vertices [m] with their heights changed so that layers are apart.
 
         Args:
-            vertices: where they are [m].
-            order_m: heights that say which layer is on top [m].
+            vertices: current positions [m].
+            order_m: heights that decide which layer is on top [m].
             table_m: height of the table [m].
-            keep: weight of the heights as they are.
-            votes: of the order (`layer_order.LayerOrder.find`).
+            keep: weight of the current heights.
+            votes: votes on the order (`layer_order.LayerOrder.find`).
         """
         self.layers.find(vertices, order_m, votes=votes)
         given = vertices[:, 2]
@@ -208,7 +210,7 @@ class IsometricFit:
         return np.column_stack([vertices[:, :2], heights])
 
     def visible(self, vertices: Float[np.ndarray, "vertices 3"], cloth: SeenCloth) -> np.ndarray:
-        """Which vertices are seen from above."""
+        """Return which vertices are visible from above."""
         check = VisibilityCheck(
             self.rest.faces, (cloth.camera,), tolerance_m=_BEHIND_M, device=self._device
         )
@@ -248,10 +250,10 @@ class IsometricFit:
     def _drawn(
         self, vertices: Float[np.ndarray, "vertices 3"], cloth: SeenCloth, reach_m: float
     ) -> tuple[Float[np.ndarray, " vertices"], Float[np.ndarray, "vertices 3"]]:
-        """Weights of what was seen, and where it draws the visible vertices [m].
+        """Return weights and targets [m] that attract the visible vertices to measured points.
 
-        Each measured point draws the nearest visible vertex; one that no point draws goes to the
-        nearest point itself.
+        Each measured point attracts the nearest visible vertex. A visible vertex that no point
+        attracts has the measured point nearest to it as its target.
         """
         visible = np.flatnonzero(self.visible(vertices, cloth))
         count = len(vertices)
@@ -275,18 +277,18 @@ class IsometricFit:
 
 
 STILL = 0.02
-"""Weight of where a vertex was while a fit is polished."""
+"""Weight of a vertex's previous position in `IsometricFit.polished`."""
 
 _LEVELLED = 2.0
-"""Weight of bending while layers are taken apart by their heights alone."""
+"""Weight of bending in `IsometricFit.layered`, which separates layers by their heights alone."""
 
 _LAYERINGS = 40
-"""Iterations of that."""
+"""Iterations of each loop in `IsometricFit.layered`."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The named points' part of the normal equations: per triangle, and the right side."""
+    """Contribution of the correspondences to the normal equations: per triangle, and right side."""
 
     corners: Float[np.ndarray, "faces 9"]
     wanted: Float[np.ndarray, "vertices 3"]
@@ -294,7 +296,7 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class _Names:
-    """Named points: where on the mesh each lies, and how much it counts."""
+    """Correspondences: measured points, their places on the mesh and their confidence."""
 
     points: Float[np.ndarray, "points 3"]
     face: Int[np.ndarray, " points"]
@@ -305,7 +307,7 @@ class _Names:
 
     @classmethod
     def of(cls, guide: Guide, rest: ClothMesh) -> "_Names":
-        """The named points of an answer, evenly taken."""
+        """Return an evenly spaced subset of the correspondences of a prediction."""
         every = max(1, len(guide.seen.points) // NAMED)
         points, canonical = guide.seen.points[::every], guide.seen.canonical[::every]
         flat = np.asarray(rest.canonical, np.float64)
@@ -318,7 +320,7 @@ class _Names:
     def weights(
         self, vertices: Float[np.ndarray, "vertices 3"], outlier_m: float
     ) -> Float[np.ndarray, " points"]:
-        """How much each counts: a mean vertex that is seen has weight 1."""
+        """Return the weight of each correspondence, scaled so that observed vertices average 1."""
         at = np.einsum("pc,pcx->px", self.blend, vertices[self.faces[self.face]])
         miss = _norms(at - self.points)[:, 0] / outlier_m
         weight = self.confidence / (1.0 + miss**2) ** 2
@@ -327,7 +329,7 @@ class _Names:
         return weight / np.mean(sightings[sightings > 0.01 * sightings.max()])
 
     def part(self, weight: Float[np.ndarray, " points"]) -> _Part:
-        """Their part of the normal equations with these weights."""
+        """Return the contribution to the normal equations with these weights."""
         shares = weight[:, None] * self.blend
         squares = (shares[:, :, None] * self.blend[:, None, :]).reshape(-1, 9)
         faces = len(self.faces)
@@ -347,7 +349,7 @@ def _pulls(
     places: Float[np.ndarray, "vertices 3"],
     drawn: tuple[Float[np.ndarray, " vertices"], Float[np.ndarray, "vertices 3"]] | None,
 ) -> tuple[Float[np.ndarray, " vertices"], Float[np.ndarray, "vertices 3"]]:
-    """Weights of the vertices' own targets, and these times their weights."""
+    """Return the weights of the vertex targets, and the targets times their weights."""
     if drawn is None:
         return placed, placed[:, None] * places
     weight, target = drawn

@@ -1,8 +1,8 @@
-"""Which of two layers of a cloth lies on top, kept while a fit moves them.
+"""The order of overlapping cloth layers, preserved while a fit moves them.
 
-A vertex that lies over or under a triangle of another part of the cloth is a pair. The order of all
-pairs comes from one height for each vertex, smoothed over neighboring pairs, so that whole layers
-agree on it.
+A pair is a vertex that lies over or under a triangle of another part of the cloth. The order of all
+pairs comes from one height per vertex, smoothed over neighboring pairs so that whole layers have a
+consistent order.
 """
 
 import numpy as np
@@ -13,18 +13,18 @@ from scipy.spatial import cKDTree
 from clothtrack.geometry.mesh import ClothMesh
 
 _SURE_M = 0.003
-"""A difference of heights above this is as good as any [m]: about the distance of two layers."""
+"""Height difference above which an order has full weight [m], about the distance of two layers."""
 
 
 _MAJORITY = 1.5
-"""By what the mean order around a pair is multiplied before it is cut to -1 to 1."""
+"""Factor on the mean order around a pair before it is clipped to -1 to 1."""
 
 
 class LayerOrder:
-    """Finds the pairs of one mesh, and keeps their order.
+    """Overlapping pairs of one mesh and their order.
 
     Args:
-        mesh: its triangles.
+        mesh: mesh that provides the triangles.
     """
 
     def __init__(self, mesh: ClothMesh) -> None:
@@ -46,19 +46,19 @@ class LayerOrder:
         *,
         votes: int = 1,
     ) -> None:
-        """Take the pairs of these vertices [m], in the order of these heights [m].
+        """Find the pairs of these vertices [m] and order them by these heights [m].
 
         Args:
-            vertices: where they are [m].
-            order_m: of which the higher one of a pair is on top [m].
-            votes: how often each pair takes the mean of its neighbors' orders, first.
+            vertices: vertex positions [m].
+            order_m: heights [m]; the higher one of a pair is on top.
+            votes: number of rounds of averaging over neighboring pairs; the last decides the order.
         """
         vertex, face, blend = self._overlaps(vertices)
         corners = self._faces[face]
         above = order_m[vertex] - (order_m[corners] * blend).sum(axis=1)
         sign = self._agreed(vertex, corners, blend, np.clip(above / _SURE_M, -1.0, 1.0), votes)
         pairs = np.arange(len(vertex))
-        # One row per pair: how high the vertex lies over the triangle, in their order.
+        # One row per pair: signed height of the vertex over the triangle, positive in their order.
         columns = np.column_stack([vertex, corners]).ravel()
         values = (sign[:, None] * np.column_stack([np.ones(len(vertex)), -blend])).ravel()
         self._rows = sparse.csr_array(
@@ -71,7 +71,7 @@ class LayerOrder:
     def apart(
         self, heights: Float[np.ndarray, " vertices"], gap_m: float, passes: int
     ) -> Float[np.ndarray, " vertices"]:
-        """The heights [m] with the layers of each pair moved towards a gap [m], in their order."""
+        """Return heights [m] with the layers of each pair moved towards an ordered gap [m]."""
         if not self._rows.shape[0]:
             return heights
         for _ in range(passes):
@@ -82,7 +82,7 @@ class LayerOrder:
     def _overlaps(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"], Float[np.ndarray, "pairs 3"]]:
-        """Vertices inside triangles of other parts as seen from above, and where."""
+        """Return vertices inside triangles of other parts seen from above, with barycentrics."""
         level = vertices[:, :2]
         corners = level[self._faces]
         middles = corners.mean(axis=1)
@@ -91,7 +91,7 @@ class LayerOrder:
         counts = np.fromiter(map(len, found), np.int64, len(found))
         vertex = np.concatenate(found).astype(np.int64)
         face = np.repeat(np.arange(len(found)), counts)
-        # Barycentric coordinates are linear in the place: six numbers per triangle.
+        # Barycentric coordinates are linear in the position, so six numbers per triangle suffice.
         first, sides = corners[:, 0], corners[:, 1:] - corners[:, :1]
         area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
         area = np.where(np.abs(area) < 1e-14, np.inf, area)
@@ -107,7 +107,7 @@ class LayerOrder:
     def _next_to(
         self, vertex: Int[np.ndarray, " pairs"], face: Int[np.ndarray, " pairs"]
     ) -> Bool[np.ndarray, " pairs"]:
-        """Whether an edge joins the vertex with a corner of its triangle, or it is one."""
+        """Return whether the vertex is a corner of its triangle or adjacent to one."""
         asked = vertex[:, None] * self._count + self._faces[face]
         place = np.minimum(np.searchsorted(self._keys, asked), len(self._keys) - 1)
         return (self._keys[place] == asked).any(axis=1)
@@ -120,7 +120,7 @@ class LayerOrder:
         above: Float[np.ndarray, " pairs"],
         votes: int,
     ) -> Float[np.ndarray, " pairs"]:
-        """1 or -1 for each pair: what it and the pairs of its neighbors say together."""
+        """Return 1 or -1 for each pair, the majority of itself and its neighboring pairs."""
         if not len(vertex):
             return above
         ends, shape = (np.repeat(vertex, 3), corners.ravel()), (self._count,) * 2
@@ -134,7 +134,7 @@ class LayerOrder:
             number = _entries(self._joined @ there @ self._joined, rows, columns)
             for _ in range(votes - 1):
                 total = _entries(self._joined @ said @ self._joined, rows, columns)
-                # A little more than the mean: a large majority stays as sure as it was.
+                # A little more than the mean, so that a large majority keeps its full weight.
                 mean = np.clip(_MAJORITY * total / number, -1.0, 1.0)
                 said = sparse.coo_array((mean, (rows, columns)), shape).tocsr()
         together = _entries(self._joined @ said @ self._joined, *ends).reshape(-1, 3)
@@ -144,7 +144,7 @@ class LayerOrder:
 def _entries(
     matrix: sparse.csr_array, rows: Int[np.ndarray, " asked"], columns: Int[np.ndarray, " asked"]
 ) -> Float[np.ndarray, " asked"]:
-    """Entries of a sparse matrix, 0 where it has none."""
+    """Return entries of a sparse matrix, 0 where it stores none."""
     matrix.sort_indices()
     count = matrix.shape[1]
     of_row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))

@@ -1,4 +1,4 @@
-"""What comes of a training, of one network or of several stages."""
+"""The outcome of a training, of one network or of several stages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,11 +9,11 @@ from clothtrack.reconstruction.training.training_run import TrainingOutcome
 
 @dataclass(frozen=True)
 class LearningOutcome:
-    """What came of a training.
+    """Outcome of a training.
 
     Attributes:
-        stages: how each stage that was begun ended, by name.
-        model: the file with the weights of all stages; None after an interrupt.
+        stages: outcome of each stage that was started, by name.
+        model: file with the weights of all stages; None after an interrupt.
     """
 
     stages: Mapping[str, TrainingOutcome]

@@ -1,4 +1,4 @@
-"""Finds the design that weights are of, and loads the network."""
+"""Finds the design that weights belong to, and loads the network."""
 
 from collections.abc import Iterator
 from importlib.metadata import entry_points
@@ -36,7 +36,7 @@ def designs() -> Iterator[Design]:
 
 
 def design_of(weights: Weights) -> Design:
-    """Return the design that weights are of.
+    """Return the design that weights belong to.
 
     Raises:
         InvalidResultError: no installed package knows their network.
@@ -56,7 +56,7 @@ def design_named(network: str) -> Design:
     """Return the design that has a network of this name.
 
     Args:
-        network: such as "tokens".
+        network: name such as "tokens".
 
     Raises:
         InvalidConfigError: there is none, or the extra that it needs is not installed.
@@ -78,9 +78,9 @@ def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> R
     """Load the network for a kind of garment.
 
     Args:
-        kind: "towel", "tshirt" or, of the token network alone, "trousers".
-        path: weights of any design; the token network's that come with the package when None.
-        device: where to compute.
+        kind: "towel", "tshirt" or, for the token network alone, "trousers".
+        path: weights of any design; when None, the token network's weights in the package.
+        device: compute device.
 
     Raises:
         InvalidResultError: there are no such weights, or they are damaged, of an unknown network or

@@ -1,4 +1,4 @@
-"""The normal matrix of an isometric fit: entries of several parts, summed and factorized fast."""
+"""The normal matrix of an isometric fit: a fast sum and factorization of several parts."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,7 +7,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 
 class NormalMatrix:
-    """The normal equations of one mesh: one pattern of entries, factorized again and again."""
+    """Normal equations of one mesh, with a fixed sparsity pattern for repeated factorization."""
 
     def __init__(
         self, along: sparse.csr_array, bends: sparse.csr_array, faces: Int[np.ndarray, "faces 3"]
@@ -41,7 +41,7 @@ class NormalMatrix:
         diagonal: Float[np.ndarray, " vertices"],
         corners: Float[np.ndarray, "faces 9"] | None = None,
     ) -> SuperLU:
-        """The factors of the sum of all parts with these weights."""
+        """Return the factorization of the weighted sum of all parts."""
         entries = edge * self._lengths + bend * self._bending
         if corners is not None:
             entries += np.bincount(self._of_faces.ravel(), corners.ravel(), len(entries))
@@ -49,7 +49,7 @@ class NormalMatrix:
         matrix = sparse.csc_array(
             (entries, self._indices, self._starts), (self._count, self._count)
         )
-        # Symmetric and positive definite: no pivots off the diagonal.
+        # The matrix is symmetric and positive definite, so no off-diagonal pivots are needed.
         return splu(
             matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},

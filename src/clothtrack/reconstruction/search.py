@@ -1,9 +1,9 @@
-"""Searches at test time: the turn of the picture, the rival answer, the size and the cut.
+"""Searches at test time over the turn of the picture, the rival answers, the size and the cut.
 
-One look of a network is a lottery: the same cloth turned by some degrees may become another mesh,
-and a garment of unknown size is an answer to every size that is asked. Here each answer is laid
-into the picture (`isometric_fit`), and the one that explains it best is taken (`explanation`).
-Cheap tries come first, and the search ends when one of them leaves nothing to explain.
+A single network pass is unreliable: the same cloth turned by a few degrees may give another mesh,
+and for a garment of unknown size the network answers for any size it is given. The search fits each
+answer to the picture (`isometric_fit`) and takes the one that explains it best (`explanation`).
+Cheap tries come first, and the search ends when a try explains the picture well enough.
 """
 
 from collections.abc import Callable
@@ -25,31 +25,31 @@ from clothtrack.reconstruction.tokens.token_reconstruction import (
 )
 
 TURNS_DEG = (0.0, 45.0, 22.5, 67.5)
-"""By what the picture is turned, one after the other [deg]; quarter turns are asked at once."""
+"""Angles by which the picture is turned, in order [deg]; each includes its quarter turns."""
 
 _RIVALS = 5
-"""Most answers that are laid, of each turn."""
+"""Maximum number of answers that are fitted per turn."""
 
 QUICK = (1.0, 3.0, 10.0)
-"""Rounds of a fit that is only to be compared (`isometric_fit.EDGES`)."""
+"""Edge weights per round of a fit that is only used for comparison (`isometric_fit.EDGES`)."""
 
 ENOUGH = 0.25
-"""Score of an explanation below which nothing else is tried."""
+"""Score of an explanation at or below which the search stops."""
 
 _COARSE = 400
-"""Vertices of a garment whose size is not known yet, about."""
+"""Approximate vertex count of a garment whose size is not known yet."""
 
 SCANNED_VIEWS, DESCENT_VIEWS = 2, 4
-"""Quarter turns and mirror images that are asked about while the size is searched."""
+"""Number of quarter turns and mirror images per query during the size scan and the descent."""
 
 SCANNED_SIZES = (0.85, 1.15, 1.6)
-"""Longer sides that are tried first, over the extent of what is seen."""
+"""Longer sides that are tried first, over the extent of the observed cloth."""
 
 STEPS = (0.2, 0.1)
-"""Steps of the logarithms of size and aspect, one round of the descent after the other."""
+"""Steps of the logarithms of size and aspect, one per round of the descent."""
 
 FARTHEST = 2.0
-"""A round goes at most so many steps away."""
+"""Largest move of a round, in steps."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class Choice:
     """A garment and an answer that were tried.
 
     Attributes:
-        cut: of the garment.
+        cut: cut of the garment.
         size_m: its width and length [m].
-        turn_deg: by what the picture was turned [deg].
+        turn_deg: angle by which the picture was turned [deg].
         explanation: how well it explains the picture.
     """
 
@@ -71,13 +71,13 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Try:
-    """An answer as it was laid into the picture.
+    """An answer fitted to the picture.
 
     Attributes:
-        garment: what was asked about.
-        answer: of the network, in the world of the picture.
-        vertices: of the garment [m].
-        choice: what is said of it.
+        garment: garment that the network was queried with.
+        answer: answer of the network, in the world of the picture.
+        vertices: vertices of the garment [m].
+        choice: summary of the try that is reported.
     """
 
     garment: KnownGarment
@@ -87,22 +87,22 @@ class Try:
 
     @property
     def score(self) -> float:
-        """Of its explanation; less is better."""
+        """Score of its explanation; lower is better."""
         return self.choice.explanation.score
 
 
 class Search:
-    """Tries answers to one picture.
+    """Search among the network's answers for one picture.
 
     Attributes:
-        cloth: what the picture shows.
-        tries: all that was tried, in their order.
+        cloth: the observed cloth.
+        tries: all tries, in order.
     """
 
     def __init__(
         self, model: TokenReconstructor, picture: DepthInput, *, device: str = "cpu"
     ) -> None:
-        """Look at a picture.
+        """Encode a picture.
 
         Raises:
             InvalidRecordingError: there is no cloth in it.
@@ -124,7 +124,7 @@ class Search:
         return tuple(one.choice for one in found.values())
 
     def known(self, garment: KnownGarment) -> Try:
-        """The best try of a garment of known size: turn after turn, until one is enough."""
+        """Return the best try of a garment of known size, over turns until one is good enough."""
         best: Try | None = None
         for turn_deg in TURNS_DEG:
             found = self.tried(garment, turn_deg)
@@ -135,7 +135,7 @@ class Search:
         return best
 
     def unknown(self, kind: str) -> KnownGarment:
-        """The garment of a kind, coarse, whose answer explains the picture best.
+        """Return the coarse garment of a kind whose answer explains the picture best.
 
         Args:
             kind: "towel", "tshirt" or "trousers".
@@ -150,12 +150,12 @@ class Search:
         return self._descended(first, kind).garment
 
     def best(self, kind: str, template: ClothMesh | None, *, vertex_count: int = 1000) -> Try:
-        """The best try of a garment, whether its size is known or not.
+        """Return the best try of a garment, whether its size is known or not.
 
         Args:
             kind: "towel", "tshirt" or "trousers".
             template: the flat garment; None when it is not known.
-            vertex_count: of the mesh that is made then, about.
+            vertex_count: approximate vertex count of the mesh that is made when it is not known.
         """
         if template is not None:
             return self.known(KnownGarment.of(template, device=self._device))
@@ -169,13 +169,13 @@ class Search:
         views: int = VIEWS,
         most: int = _RIVALS,
     ) -> Try:
-        """The best answer about a garment in one turn of the picture.
+        """Return the best answer for a garment in one turn of the picture.
 
         Args:
-            garment: what is asked about.
-            turn_deg: by what the picture is turned [deg].
-            views: quarter turns and mirror images that are asked about, 1 to 8.
-            most: answers that are laid.
+            garment: garment that the network is queried with.
+            turn_deg: angle by which the picture is turned [deg].
+            views: number of quarter turns and mirror images in the query, 1 to 8.
+            most: maximum number of answers that are fitted.
         """
         answers = self._model.rivals(self._look(turn_deg), garment.tokens, views=views, most=most)
         explain = Explainer(garment.mesh, self.cloth, device=garment.device)
@@ -195,7 +195,7 @@ class Search:
         return self._looks[turn_deg]
 
     def _descended(self, start: Try, kind: str) -> Try:
-        """The best try about a size: parabolas through three sizes, and three aspects, in turn."""
+        """Return the best try near a size, by alternating parabola fits over size and aspect."""
         cut, best = start.garment, start
 
         def asked(place: Float[np.ndarray, " 2"]) -> Try:
@@ -224,7 +224,7 @@ def _along(
     place: Float[np.ndarray, " 2"],
     way: Float[np.ndarray, " 2"],
 ) -> tuple[Try, Float[np.ndarray, " 2"]]:
-    """The best try along a way through a place: on either side, and where a parabola is lowest."""
+    """Return the best try along a direction: the middle, both sides and a parabola's minimum."""
     found = [(middle, place), (asked(place - way), place - way), (asked(place + way), place + way)]
     at, below, above = (one.score for one, _ in found)
     bow = below + above - 2.0 * at

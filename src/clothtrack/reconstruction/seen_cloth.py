@@ -1,7 +1,7 @@
-"""One picture of a cloth as a fit asks about it: from above, where it may lie and how high.
+"""One picture of a cloth in the form that a fit uses: from above, where cloth may be and how high.
 
-Everything is kept at the few thousand pixels of the network's own picture: a fit asks hundreds of
-times.
+Everything is stored at the few thousand pixels of the network's own picture, because a fit queries
+it hundreds of times.
 """
 
 from dataclasses import dataclass
@@ -18,25 +18,25 @@ from clothtrack.reconstruction.data.view import CroppedView
 from clothtrack.reconstruction.depth_input import DepthInput
 
 CLOSED_PIXELS = 2
-"""Gaps in the mask up to twice as wide [pixels] are cloth that was not measured."""
+"""Gaps in the mask up to twice as wide [pixels] are treated as unmeasured cloth."""
 
 _STEEP_M = 0.015
-"""A vertex that would have to move by less than this [m] goes straight down, or to the side: lying
-layers are no thicker. The quick fit of cloth that hangs fares alike with 2, 15 and 30 mm; crumpled
-cloth of real pictures is a little worse with 2, which is why it is not 2."""
+"""A vertex with a correction shorter than this [m] moves straight down or sideways, because lying
+layers are no thicker. The quick fit of hanging cloth is equally good with 2, 15 and 30 mm. Crumpled
+cloth of real pictures is a little worse with 2 mm, so a larger value is used."""
 
 _TALL_M = 0.015
-"""What stands so high over the table beside the mask [m] hides what is under it."""
+"""An object beside the mask that rises this high over the table [m] may hide cloth."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenCloth:
-    """Where a cloth may lie, from straight above.
+    """The space where a cloth may be, from straight above.
 
     Attributes:
-        camera: the virtual camera above the cloth.
-        depth: along its axis [m]; 0 where no cloth was measured.
-        free: pixels in which cloth may lie: it was seen there, or nothing could be.
+        camera: virtual camera above the cloth.
+        depth: depth along its axis [m]; 0 where no cloth was measured.
+        free: pixels where cloth may be: cloth was seen there, or could not have been seen.
         table_m: height of the table in the world [m].
     """
 
@@ -47,15 +47,15 @@ class SeenCloth:
 
     @classmethod
     def of(cls, view: CroppedView, picture: DepthInput, table_m: float) -> "SeenCloth":
-        """What a picture says.
+        """Return the cloth that a picture shows.
 
         Args:
             view: the picture from straight above.
-            picture: the same cloth as the sensor saw it.
+            picture: the same cloth as the sensor measured it.
             table_m: height of the table [m].
         """
         seen = view.depth > 0
-        # A border of free pixels, so that closing does not open the mask at the picture's border.
+        # Pad the mask so that closing does not erode it at the picture's border.
         wide = np.pad(seen, CLOSED_PIXELS)
         closed = np.asarray(binary_closing(wide, iterations=CLOSED_PIXELS), bool)
         inner = slice(CLOSED_PIXELS, -CLOSED_PIXELS)
@@ -69,7 +69,7 @@ class SeenCloth:
 
     @cached_property
     def points(self) -> Float[np.ndarray, "points 3"]:
-        """A quarter of the measured places [m], evenly taken; all where that leaves none."""
+        """An evenly spaced quarter of the measured points [m]; all if the quarter is empty."""
         every = np.zeros(self.depth.shape, bool)
         every[::2, ::2] = True
         chosen = self.seen & every
@@ -78,18 +78,18 @@ class SeenCloth:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Of the points."""
+        """k-d tree of the points."""
         return cKDTree(self.points)
 
     @cached_property
     def extent_m(self) -> float:
-        """Root of the area that is seen [m], as if it lay on the table."""
+        """Root of the visible area [m], as if it lay on the table."""
         pixel_m = (self.camera.position[2] - self.table_m) / self.camera.fx
         return float(np.sqrt(self.seen.sum()) * pixel_m)
 
     @cached_property
     def longest_m(self) -> float:
-        """The longest extent of what is seen, from above [m]."""
+        """Longest horizontal extent of the visible cloth [m]."""
         level = self.points[:, :2] - self.points[:, :2].mean(axis=0)
         angles = np.arange(0.0, np.pi, np.pi / 12.0)
         along = level @ np.stack([np.cos(angles), np.sin(angles)])
@@ -99,10 +99,10 @@ class SeenCloth:
     def cells(
         self, count: int
     ) -> tuple[Float[np.ndarray, "count count"], Float[np.ndarray, "count count"]]:
-        """The share of each cell that shows cloth, and its height over the table [m].
+        """Return the share of each cell that shows cloth, and its mean height over the table [m].
 
         Args:
-            count: cells along each side; the picture's pixels are a multiple of it.
+            count: number of cells along each side; the picture's width must be a multiple of it.
         """
         side = self.depth.shape[0] // count
         blocks = (count, side, count, side)
@@ -113,26 +113,27 @@ class SeenCloth:
 
     @cached_property
     def _nearest_free(self) -> Int[np.ndarray, "2 height width"]:
-        """Row and column of the nearest free pixel of each."""
+        """Row and column of the free pixel nearest to each pixel."""
         return _nearest(self.free)
 
     @cached_property
     def _top_m(self) -> Float[np.ndarray, "height width"]:
-        """Height of the cloth at each pixel [m], or at the nearest where it was measured."""
+        """Height of the cloth at each pixel [m], from the nearest measured pixel."""
         rows, columns = _nearest(self.seen)
         return self.camera.position[2] - self.depth[rows, columns]
 
     def confined(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> Float[np.ndarray, "vertices 3"]:
-        """Return the nearest places [m] in which cloth may lie.
+        """Return the nearest positions [m] where cloth may be.
 
-        That is in a free pixel and below what was seen, or on a measured point where one is nearer.
-        Cloth that hangs is steep: a vertex beside it is a few millimeters off, and straight down it
-        would be centimeters. Sent down in every iteration and never up, all of it sinks.
+        That is in a free pixel and below the visible surface, or on a measured point if one is
+        nearer. Hanging cloth is steep, so a vertex beside it may be a few millimeters from a
+        measured point but centimeters above the surface. If such vertices were moved down in every
+        iteration and never up, the whole cloth would sink.
 
         Args:
-            vertices: where they are [m].
+            vertices: current positions [m].
         """
         camera = self.camera
         away = camera.position[2] - vertices[:, 2]
@@ -167,7 +168,7 @@ def _nearest(marked: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, "2 hei
 def _unknown(
     camera: Camera, picture: DepthInput, table_m: float
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels of the virtual camera in which the sensor could not have seen cloth on the table."""
+    """Return virtual-camera pixels in which the sensor could not have seen cloth on the table."""
     shape = camera.height, camera.width
     to_table = np.full(shape, camera.position[2] - table_m)
     if not (to_table > 0.0).all():
@@ -178,10 +179,10 @@ def _unknown(
     inside &= (columns >= 0) & (columns < picture.camera.width)
     at = rows[inside].astype(np.intp), columns[inside].astype(np.intp)
     measured = picture.depth_m[at]
-    # Straight enough from above for the ray to the table to say how high something stands.
+    # The view is steep enough that the ray to the table gives the height of an object.
     tall = (measured > 0) & (measured < depth[inside] * (1.0 - _TALL_M / camera.position[2]))
     unknown = ~inside
     unknown[inside] = tall & ~picture.mask[at]
     whole = unknown.reshape(shape).astype(np.uint8)
-    # A single pixel is noise.
+    # Remove single pixels, which are noise.
     return cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)

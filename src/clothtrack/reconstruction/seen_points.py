@@ -1,4 +1,4 @@
-"""Measured points of a cloth, and what a network calls them."""
+"""Measured points of a cloth, with the correspondences that a network predicts."""
 
 from dataclasses import dataclass, replace
 
@@ -10,12 +10,12 @@ from clothtrack.geometry.camera import about_vertical
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Points of one picture with their canonical positions, as a network names them.
+    """Points of one picture with the canonical positions that a network predicts.
 
     Attributes:
-        points: measured places [m], world, z up.
-        canonical: their canonical positions [m].
-        confidence: 0 to 1.
+        points: measured positions [m], world, z up.
+        canonical: canonical positions of the points [m].
+        confidence: confidence of each canonical position, 0 to 1.
     """
 
     points: Float[np.ndarray, "points 3"]
@@ -23,9 +23,9 @@ class SeenPoints:
     confidence: Float[np.ndarray, " points"]
 
     def scaled(self, factor: float) -> "SeenPoints":
-        """The same in a world that is larger by a factor."""
+        """Return the same points in a world that is larger by a factor."""
         return SeenPoints(self.points * factor, self.canonical * factor, self.confidence)
 
     def turned(self, angle_rad: float) -> "SeenPoints":
-        """The same in a world that is turned about the vertical through its origin."""
+        """Return the same points in a world turned about the vertical through its origin."""
         return replace(self, points=self.points @ about_vertical(angle_rad).T)

@@ -1,4 +1,4 @@
-"""Bending of a template away from the flat sheet that it is, as rows of a linear system."""
+"""Bending of a template, relative to a flat sheet, as rows of a linear system."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -8,11 +8,11 @@ from clothtrack.geometry.mesh import ClothMesh
 
 
 def smoothness_matrix(template: ClothMesh) -> sparse.csr_array:
-    """Rows that are zero for any flat sheet: a vertex less the mean of its neighbors.
+    """Return rows that are zero for any flat sheet: a vertex minus the mean of its neighbors.
 
     The cotangents of the flat mesh weight the neighbors (U. Pinkall, K. Polthier, 1993), so that
-    an irregular mesh is as flat as a regular one. Rims and seams have no row: a flat shirt turns
-    back there.
+    the rows are zero for an irregular mesh too. The rows of rims and seams are empty because a flat
+    shirt folds back there.
     """
     corners = template.vertices[template.faces]
     count = template.vertex_count
@@ -43,7 +43,7 @@ def _on_rim(template: ClothMesh) -> Bool[np.ndarray, " vertices"]:
 
 
 def _on_seam(template: ClothMesh) -> Bool[np.ndarray, " vertices"]:
-    """Where the layers of an inflated garment meet."""
+    """Return vertices where the layers of an inflated garment meet."""
     if template.canonical is None or not np.ptp(template.canonical[:, 2]) > 0:
         return np.zeros(template.vertex_count, dtype=bool)
     return np.abs(template.canonical[:, 2]) < 1e-6

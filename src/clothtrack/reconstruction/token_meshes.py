@@ -1,4 +1,4 @@
-"""Meshes of pictures by the token network: its rival answers, and the search among them."""
+"""Meshes from pictures by the token network: its rival answers, and the search among them."""
 
 from functools import partial
 
@@ -17,13 +17,13 @@ from clothtrack.recordings.point_cloud import Observation
 
 
 class TokenMeshes:
-    """Meshes of pictures by the token network (`design.Reconstructor`).
+    """Meshes from pictures by the token network (`design.Reconstructor`).
 
     Attributes:
-        states_error: the network says how far off each vertex may be.
+        states_error: True, because the network predicts the error of each vertex.
 
     Args:
-        network: answers for one garment in one picture.
+        network: token network that answers for one garment in one picture.
     """
 
     states_error = True
@@ -33,12 +33,12 @@ class TokenMeshes:
 
     @classmethod
     def load(cls, weights: Weights, kind: str, *, device: str = "cpu") -> "TokenMeshes":
-        """Return the network of weights that were read.
+        """Return the network of loaded weights.
 
         Args:
-            weights: of a token network.
-            kind: not asked: the network serves every garment.
-            device: where to compute.
+            weights: weights of a token network.
+            kind: unused, because the network serves every garment.
+            device: compute device.
 
         Raises:
             InvalidResultError: the weights are of another network.
@@ -62,8 +62,8 @@ class TokenMeshes:
     ) -> NetworkMesh:
         """Return the mesh whose answer explains the picture best.
 
-        Arguments and errors are those of `design.Reconstructor.mesh`. The picture's own points are
-        what is fitted to, and a mesh that is refined is untangled in any case.
+        Arguments and errors are those of `design.Reconstructor.mesh`. The fit always uses the
+        picture's own points, and a refined mesh is always untangled.
         """
         del untangle, observation
         if method != "template":

@@ -1,1 +1,1 @@
-"""What networks learn from: simulated states, and pseudo-labels of real recordings."""
+"""Training data of networks: simulated states, and pseudo-labels of real recordings."""

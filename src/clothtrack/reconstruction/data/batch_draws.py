@@ -1,7 +1,7 @@
-"""Everything about the pictures of a batch that is random, but for the noise of single pixels.
+"""Random draws for the pictures of a batch, except for the noise of single pixels.
 
-Drawn on the processor whatever the device, a few dozen numbers per picture: the same seed gives the
-same cameras and hands on a CPU and on a GPU.
+The draws are made on the CPU for any device, a few dozen numbers per picture, so that a seed gives
+the same cameras and hands on a CPU and on a GPU.
 """
 
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from clothtrack.reconstruction.data.render_config import (
 )
 
 _HELD_HEIGHT = 0.3
-"""Cloth that is higher than this, over its extent, is lifted: something holds it at its top."""
+"""Height, over the cloth's extent, above which cloth is lifted and something holds its top."""
 
 HELD = 0.7
-"""How often what holds lifted cloth hides part of it."""
+"""Probability that the tool or hand that holds lifted cloth hides part of it."""
 
 _TIP_RADIUS = (0.02, 0.08)
 """Bounds of half the width of a tool or a hand, over the cloth's extent."""
@@ -37,21 +37,21 @@ _FACING_DOWN = (1.0, -1.0, -1.0)
 
 @dataclass(frozen=True, eq=False)
 class Scenes:
-    """Cameras, sensors and what is in the way, of one picture each.
+    """Cameras, sensors and occluders, one of each per picture.
 
     Attributes:
-        rotation, position: of the camera, in the world [m]; columns are its axes.
+        rotation, position: pose of the camera in the world [m]; columns are its axes.
         focal: focal length [pixels].
-        white_m, wave_m, disparity_step_m, step_m: as in `SensorConfig`, and so are the next five.
-        dropout, grazing_dropout, edge_dropout, edge_mixing, edge_step_m: as there.
+        white_m, wave_m, disparity_step_m, step_m: as in `SensorConfig`.
+        dropout, grazing_dropout, edge_dropout, edge_mixing, edge_step_m: as in `SensorConfig`.
         wave: coarse field of the slowly varying error, in standard deviations.
         grown: pixels by which the mask is too large; negative: too small.
-        tip: which vertex a tool or a hand is at, from 0 to 1; negative: there is none.
-        tip_radius_m: half of its width [m].
-        tip_angle: where it comes from in the picture [rad].
-        reaches: whether it comes from beyond the picture's border.
-        cut_side: which side of the picture is cut off, 0 to 3; negative: none.
-        cut_share: share of the cloth that goes with it.
+        tip: vertex that a tool or a hand is at, as a share of all from 0 to 1; negative: no tool.
+        tip_radius_m: half of the tool's width [m].
+        tip_angle: direction that the tool comes from in the picture [rad].
+        reaches: whether the tool comes from beyond the picture's border.
+        cut_side: side of the picture that is cut off, 0 to 3; negative: none.
+        cut_share: share of the cloth that is cut off.
     """
 
     rotation: Float[Tensor, "batch 3 3"]
@@ -82,13 +82,13 @@ def draw_scenes(
     config: RenderConfig,
     generator: Generator,
 ) -> Scenes:
-    """Draw a camera and what is in its way for each cloth.
+    """Draw a camera and occluders for each cloth.
 
     Args:
-        low: least coordinates of the cloth in the world [m], on the processor.
-        high: largest ones.
-        config: the cameras.
-        generator: of the processor.
+        low: least coordinates of the cloth in the world [m], on the CPU.
+        high: largest coordinates [m].
+        config: settings of the cameras.
+        generator: generator of the CPU.
     """
     count, extent = len(low), (high - low)[:, :2].amax(1)
     even = _Even(count, generator)
@@ -100,7 +100,7 @@ def draw_scenes(
     }
     in_the_air = high[:, 2] > _HELD_HEIGHT * extent
     shown = even() < torch.where(in_the_air, HELD, config.tool)
-    # Lifted cloth is held at its top, which is where the share of 1 leads.
+    # Lifted cloth is held at its top, which a share of 1 selects.
     tip = torch.where(in_the_air, torch.ones(count), even() * (1.0 - 1e-6))
     grown = torch.floor(even.between(1.0, 4.0)).int()
     way = even()
@@ -123,7 +123,7 @@ def draw_scenes(
 
 @dataclass(frozen=True, eq=False)
 class _Even:
-    """Even draws from 0 to 1 for a number of pictures."""
+    """Uniform draws from 0 to 1 for a number of pictures."""
 
     count: int
     generator: Generator
@@ -132,12 +132,12 @@ class _Even:
         return torch.rand(self.count, generator=self.generator, dtype=torch.float64)
 
     def between(self, low: float, high: float) -> Float[Tensor, " batch"]:
-        """Even draws between two bounds."""
+        """Return uniform draws between two bounds."""
         return low + (high - low) * self()
 
 
 def _tilted_down(config: RenderConfig, even: _Even) -> Float[Tensor, "batch 3 3"]:
-    """Axes of cameras that look down, most of them nearly straight."""
+    """Return axes of cameras that look down, most of them nearly vertically."""
     tilt = torch.randn(even.count, 2, generator=even.generator, dtype=torch.float64)
     tilt = torch.deg2rad(torch.tensor(config.tilt_deg)) * tilt
     heading, angle = 2.0 * torch.pi * even(), torch.deg2rad(even.between(0.0, MOST_TILT_DEG))
@@ -163,20 +163,20 @@ def _positions(
     config: RenderConfig,
     even: _Even,
 ) -> Float[Tensor, "batch 3"]:
-    """Where the cameras stand [m], from the cloth's extent and the direction away from it."""
+    """Return camera positions [m], from the cloth's extent and the direction away from it."""
     extent = (high - low)[:, :2].amax(1).double()
     target = 0.5 * (low + high).double()
     target[:, 0] += extent * even.between(-config.offset, config.offset)
     target[:, 1] += extent * even.between(-config.offset, config.offset)
     distance = extent * even.between(*config.distance)
     distance = torch.minimum(distance, (1.2 * extent).clamp(min=USUAL_DISTANCE_M))
-    # Clear of cloth that is lifted towards it, too.
+    # Keep clear of cloth that is lifted towards the camera.
     distance = distance.clamp(min=LEAST_DISTANCE_M) + 0.5 * (high - low)[:, 2]
     return target + distance[:, None] * backwards
 
 
 def _sensors(config: RenderConfig, even: _Even) -> dict[str, Float[Tensor, " batch"]]:
-    """Sensors on a better or a worse day, of three kinds."""
+    """Return settings of sensors of random kinds, with random noise levels."""
     kinds = config.sensors
     scale = even.between(*config.noise_range).float()
     kind = torch.floor(len(kinds) * even()).long()

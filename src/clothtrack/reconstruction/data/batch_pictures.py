@@ -1,8 +1,7 @@
-"""Pictures of many states at once, by cameras above them that measure badly.
+"""Noisy depth pictures of many states at once, from cameras above them.
 
-On any device that PyTorch computes on, and without Warp. Positions are in the frame of each
-picture's camera until the network's picture is taken, so that mirroring and turning the world costs
-nothing.
+This runs on any PyTorch device, without Warp. Positions are in the frame of each picture's camera
+until the network's picture is taken, so that mirroring and turning the world costs nothing.
 """
 
 from collections.abc import Iterator
@@ -30,15 +29,16 @@ _MARGIN_PIXELS = 6
 
 @dataclass(frozen=True, eq=False)
 class Cloths:
-    """Cloths before their cameras; all have as many vertices and faces as the largest.
+    """Cloths in front of their cameras, padded to the vertices and faces of the largest.
 
     Attributes:
-        local: vertices in the frame of the camera [m]; those of a smaller one come again.
-        faces: vertices of each face, the first, second and third corner of all; those that only
-            fill up have three times the same.
-        scenes: cameras, and what is in their way.
-        first: column and row from the principal point where each picture begins [pixels].
-        size: columns and rows of each picture [pixels].
+        local: vertices in the frame of the camera [m]; those of a smaller cloth are repeated.
+        faces: first, second and third corners of all faces; padding faces have the same vertex
+            three times.
+        scenes: cameras and occluders.
+        first: column and row of each picture's first pixel, relative to the principal point
+            [pixels].
+        size: number of columns and rows of each picture [pixels].
     """
 
     local: Float[Tensor, "batch vertices 3"]
@@ -54,12 +54,12 @@ class Cloths:
         faces: Int[Tensor, "batch 3 faces"],
         scenes: Scenes,
     ) -> "Cloths":
-        """Cloths before the cameras of their scenes.
+        """Return cloths in front of the cameras of their scenes.
 
         Args:
             positions: vertices in the world [m].
             faces: as the attribute.
-            scenes: with cameras that all vertices are before.
+            scenes: scenes with cameras that have all vertices in front of them.
         """
         local = (positions - scenes.position[:, None]) @ scenes.rotation
         seen = local[..., :2] / local[..., 2:] * scenes.focal[:, None, None]
@@ -68,10 +68,10 @@ class Cloths:
         return cls(local, faces, scenes, first, size)
 
     def parts(self, most_pixels: int) -> Iterator[Int[Tensor, " part"]]:
-        """Which of them to draw together: such as have pictures of much the same size.
+        """Iterate over groups of cloths with pictures of similar size, to render together.
 
         Args:
-            most_pixels: of the pictures of a part, but that a part has at least one.
+            most_pixels: maximum pixels of the pictures of a group, which has at least one picture.
         """
         sizes = self.size.tolist()
         order = sorted(range(len(sizes)), key=lambda one: sizes[one][0] * sizes[one][1])
@@ -86,14 +86,14 @@ class Cloths:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Depth pictures of cloths, all of one size: columns and rows beyond a picture's own are table.
+    """Depth pictures of cloths, padded with table to one size.
 
     Attributes:
-        cloths: what they show.
+        cloths: cloths that they show.
         depth: measured depth [m]; 0 where nothing was measured.
-        mask: where the cloth is thought to be, and was measured.
-        face: which face each pixel shows; -1 where none does.
-        across, down: the line of sight of each column and row at depth 1.
+        mask: segmentation of the cloth, where it was measured.
+        face: face that each pixel shows; -1 for none.
+        across, down: line of sight of each column and row at depth 1.
     """
 
     cloths: Cloths
@@ -108,8 +108,8 @@ def measure(cloths: Cloths, generator: Generator) -> Measured:
     """Take pictures of cloths on the table z = 0.
 
     Args:
-        cloths: before their cameras.
-        generator: of the sensors' noise, of the device of the cloths.
+        cloths: cloths in front of their cameras.
+        generator: generator of the sensors' noise, on the device of the cloths.
     """
     scenes = cloths.scenes
     width, height = (int(one) for one in cloths.size.amax(0))
@@ -134,7 +134,7 @@ def _perfect_depth(
     Int[Tensor, "batch height width"],
     Float[Tensor, "batch height width"],
 ]:
-    """Depth [m] of cloth and table, faces, and how squarely the line of sight meets them."""
+    """Return depth [m] of cloth and table, faces, and cosine of normal and line of sight."""
     scenes, local = cloths.scenes, cloths.local
     count, vertices = local.shape[:2]
     shape = (count, down.shape[1], across.shape[1])
@@ -146,7 +146,7 @@ def _perfect_depth(
     corners = (cloths.faces + (number * vertices)[:, None, None]).transpose(0, 1).reshape(3, -1)
     picture = number.repeat_interleave(cloths.faces.shape[2])
     drawn, face = unpacked(nearest_faces(points, corners, picture, shape))
-    # How far the plane of each face is from the camera; the table's height for what shows none.
+    # Distance of the plane of each face from the camera; the table's for pixels without a face.
     a, b, c = (local.view(-1, 3).index_select(0, corner) for corner in corners)
     normal = torch.linalg.cross(b - a, c - a)
     plane = (normal * a).sum(1).abs_() / normal.norm(dim=1).clamp_(min=1e-12)
@@ -157,14 +157,14 @@ def _perfect_depth(
         plane.index_select(0, face.clamp(min=0)).view(shape),
         tall[:, None, None],
     )
-    # The table: the world's height falls along the line of sight.
+    # Intersect the line of sight with the table, using the change of world height along it.
     tilt = scenes.rotation[:, 2]
     slope = (tilt[:, :1] * across)[:, None] + (tilt[:, 1:2] * down + tilt[:, 2:])[..., None]
     table = tall[:, None, None] / slope.neg_().clamp_(min=1e-3)
     depth = torch.where(shown.view(shape), drawn.view(shape), table)
     length = (across.square()[:, None] + (down.square() + 1.0)[..., None]).sqrt_()
     facing = plane.div_(length.mul_(depth))
-    # Faces count from 0 in each picture.
+    # Number the faces from 0 in each picture.
     face = face.view(shape).sub_((number * cloths.faces.shape[2])[:, None, None])
     return depth, torch.where(shown.view(shape), face, -1), facing
 
@@ -172,11 +172,11 @@ def _perfect_depth(
 def _hidden(
     cloths: Cloths, masks: Bool[Tensor, "batch height width"]
 ) -> Bool[Tensor, "batch height width"]:
-    """What tools and hands hide, and what the pictures' borders cut off."""
+    """Return pixels that tools and hands hide, or that the pictures' borders cut off."""
     scenes, found = cloths.scenes, cut_off(masks, cloths.scenes.cut_side, cloths.scenes.cut_share)
     chosen = (scenes.tip >= 0.0).nonzero()[:, 0]
     held = rows_of(cloths, chosen)
-    # The share of 1 is the highest vertex, any other one a vertex by its number.
+    # A share of 1 selects the highest vertex, any other share a vertex by its index.
     local, camera = held.local, held.scenes
     height = (local * camera.rotation[:, 2, None]).sum(2)
     count = local.shape[1]

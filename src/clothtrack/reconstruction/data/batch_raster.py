@@ -1,9 +1,10 @@
-"""The nearest triangles of many pictures at once, on any device that PyTorch computes on.
+"""A rasterizer for many pictures at once, on any PyTorch device.
 
-A z-buffer without Warp (`geometry/visibility.py` has the tracker's). All triangles of all pictures
-become one list of rows, and all rows one list of pixels, so that none is cut short however large it
-is, and nothing is padded. A pixel is one 64-bit number, the bits of its depth above the index of
-its face: the smallest one wins, whatever the order, so that CPU and GPU agree and repeat.
+It is a z-buffer without Warp (`geometry/visibility.py` has the tracker's). All triangles of all
+pictures become one list of rows, and all rows one list of pixels, so triangles may have any size
+and nothing is padded. A pixel is one 64-bit number with the bits of its depth above the index of
+its face. The smallest number wins in any order, so results are deterministic and equal on CPU and
+GPU.
 """
 
 from dataclasses import dataclass
@@ -14,10 +15,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 EMPTY_PIXEL = 2**63 - 1
-"""What a pixel holds that no face covers."""
+"""Value of a pixel that no face covers."""
 
 _SEAM_PIXELS = 1e-3
-"""A pixel center on an edge belongs to both faces: so much of a pixel closes the seams."""
+"""Widening of faces [pixels]; a pixel center on an edge belongs to both faces, without gaps."""
 
 _LOWER_HALF = 2**32 - 1
 _LEVEL = 1e-7
@@ -26,11 +27,11 @@ _FAR = 1e36
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """Points in the pictures of their cameras, all pictures one after the other.
+    """Points projected into the pictures of their cameras, concatenated over pictures.
 
     Attributes:
-        columns, rows: where they are seen [pixels]; pixel centers at integers.
-        inverse: 1 over their depth along the optical axis [1/m]; not positive behind the camera.
+        columns, rows: image coordinates [pixels]; pixel centers at integers.
+        inverse: inverse depth along the optical axis [1/m]; not positive behind the camera.
     """
 
     columns: Float[Tensor, " points"]
@@ -44,15 +45,15 @@ def nearest_faces(
     picture: Int[Tensor, " faces"],
     shape: tuple[int, int, int],
 ) -> Int[Tensor, " pixels"]:
-    """Draw faces into pictures of one size, and return what each pixel holds (`unpacked`).
+    """Draw faces into pictures of one size, and return the packed pixels (`unpacked`).
 
     A face with a corner behind its camera is not drawn.
 
     Args:
         points: corners of the faces.
-        faces: the first, second and third corner of all faces; drawn from both sides.
-        picture: the picture that each face is in.
-        shape: number of the pictures, their height and width [pixels].
+        faces: first, second and third corner of all faces; drawn from both sides.
+        picture: index of each face's picture.
+        shape: number of pictures, their height and width [pixels].
     """
     count, height, width = shape
     pixels = torch.full(
@@ -79,7 +80,7 @@ def nearest_faces(
 def unpacked(
     pixels: Int[Tensor, " pixels"],
 ) -> tuple[Float[Tensor, " pixels"], Int[Tensor, " pixels"]]:
-    """Depth [m] and face of each pixel; a pixel without a face has depth infinity and face -1."""
+    """Return depth [m] and face of each pixel; without a face, depth infinity and face -1."""
     empty = pixels == EMPTY_PIXEL
     depth = pixels.bitwise_right_shift(32).int().view(torch.float32)
     face = pixels.bitwise_and(_LOWER_HALF)
@@ -87,7 +88,7 @@ def unpacked(
 
 
 class _Boxes(NamedTuple):
-    """Pixels around each face: first column and row, and how many columns and rows (0: none)."""
+    """Bounding box of each face: first column and row, number of columns and rows (0: none)."""
 
     left: Float[Tensor, " faces"]
     top: Float[Tensor, " faces"]
@@ -99,10 +100,10 @@ class _Spans(NamedTuple):
     """Rows of faces that cover at least one pixel.
 
     Attributes:
-        owner: the face.
-        first: its first pixel in this row, in all pictures.
-        pixels: how many it covers.
-        inverse, slope: the inverse depth [1/m] there, and its change from pixel to pixel.
+        owner: index of the face.
+        first: index of its first pixel in this row, over all pictures.
+        pixels: number of pixels that it covers.
+        inverse, slope: inverse depth [1/m] at the first pixel, and its change per pixel.
     """
 
     owner: Int[Tensor, " spans"]
@@ -124,7 +125,7 @@ def _boxes(points: Projected, faces: Int[Tensor, "3 faces"], height: int, width:
 def _within(
     values: Float[Tensor, " points"], faces: Int[Tensor, "3 faces"], size: int
 ) -> tuple[Float[Tensor, " faces"], Float[Tensor, " faces"]]:
-    """First and last pixel along one axis that each face can cover."""
+    """Return the first and last pixel along one axis that each face can cover."""
     a, b, c = (values.index_select(0, corner) for corner in faces)
     low = torch.minimum(torch.minimum(a, b), c).sub_(_SEAM_PIXELS).ceil_().clamp_(min=0.0)
     high = torch.maximum(torch.maximum(a, b), c).add_(_SEAM_PIXELS).floor_().clamp_(max=size - 1.0)
@@ -132,10 +133,10 @@ def _within(
 
 
 def _expanded(counts: Int[Tensor, " owners"]) -> tuple[Int[Tensor, " all"], Int[Tensor, " all"]]:
-    """Every owner as often as it counts, and how often it came before."""
+    """Return each owner's index repeated by its count, and the number of each repetition."""
     ends = counts.cumsum(0)
     total = int(ends[-1]) if len(ends) else 0
-    # One step up where an owner ends; on a processor faster than to repeat its number.
+    # Sum a step of 1 at the end of each owner; on a CPU this is faster than repeating the index.
     owner = torch.zeros(total + 1, dtype=torch.int64, device=counts.device)
     owner = owner.scatter_add_(0, ends, torch.ones_like(ends))[:total].cumsum_(0)
     place = torch.arange(total, device=counts.device)
@@ -149,16 +150,16 @@ def _spans(
     first: Int[Tensor, " faces"],
     width: int,
 ) -> _Spans:
-    """Where each row of each face begins and ends: an edge is where it crosses the row.
+    """Return the span of each row of each face, bounded by where its edges cross the row.
 
     Args:
         points: corners of the faces.
         faces: as for `nearest_faces`.
-        boxes: of the faces.
-        first: the first pixel of each box, in all pictures.
-        width: of a picture [pixels].
+        boxes: bounding boxes of the faces.
+        first: index of the first pixel of each box, over all pictures.
+        width: width of a picture [pixels].
     """
-    # From where the boxes begin: small numbers keep their digits.
+    # Coordinates are relative to the boxes, because small numbers are more precise.
     ax, bx, cx = (points.columns.index_select(0, one) - boxes.left for one in faces)
     ay, by, cy = (points.rows.index_select(0, one) - boxes.top for one in faces)
     az, bz, cz = (points.inverse.index_select(0, one) for one in faces)
@@ -181,7 +182,7 @@ def _spans(
     south = ((cz - az) * (bx - ax) - (bz - az) * (cx - ax)) / area
     start = (az - ax * east - ay * south).index_select(0, owner)
     start.addcmul_(row, south.index_select(0, owner))
-    # A sliver's plane is so steep that a seam's width beyond it is another depth.
+    # Clamp to the face's depths: a sliver's plane is so steep that it is wrong in the seam.
     nearest = torch.maximum(torch.maximum(az, bz), cz).index_select(0, owner)
     farthest = torch.minimum(torch.minimum(az, bz), cz).index_select(0, owner)
     east = east.index_select(0, owner)
@@ -199,21 +200,21 @@ def _crossing(
     ty: Float[Tensor, " faces"],
     turn: Float[Tensor, " faces"],
 ) -> tuple[Float[Tensor, " faces"], Float[Tensor, " faces"], Float[Tensor, " faces"]]:
-    """Where faces begin and end along row 0 as far as one edge says, and the change per row.
+    """Return the bounds that one edge sets for faces along row 0, and their change per row.
 
     Args:
         fx: column of the edge's first end.
-        fy: its row.
+        fy: row of the edge's first end.
         tx: column of the edge's last end.
-        ty: its row.
-        turn: 1 or -1, the way round the face.
+        ty: row of the edge's last end.
+        turn: orientation of the face, 1 or -1.
     """
     east, south = (fy - ty) * turn, (tx - fx) * turn
     seam = _SEAM_PIXELS * (east.abs() + south.abs())
-    # A level edge has all of a row on one side, which a crossing far away says as well.
+    # A horizontal edge has a whole row on one side, which a far crossing expresses as well.
     east = torch.where(east.abs() < _LEVEL, _LEVEL, east)
     change = -south / east
     at = fx - fy * change - seam / east
-    # Infinitely far for the end that this edge does not limit; no branch is as fast.
+    # The bound that this edge does not set is infinitely far; this is faster than a branch.
     far = east * _FAR
     return torch.minimum(at, far), torch.maximum(at, far), change

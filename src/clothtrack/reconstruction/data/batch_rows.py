@@ -1,4 +1,4 @@
-"""Dataclasses of tensors of which every row belongs to one example: some rows, other devices."""
+"""Operations on dataclasses of tensors with one row per example: select, move and join."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -12,19 +12,19 @@ Rows = TypeVar("Rows")
 
 
 def rows_of(batch: Rows, which: Int[Tensor, " chosen"]) -> Rows:
-    """Some of the examples, in the order that is asked for."""
+    """Return some of the examples, in the given order."""
     return _changed(
         batch, lambda values: rows_of(values, which), lambda one: one.index_select(0, which)
     )
 
 
 def on_device(batch: Rows, device: str) -> Rows:
-    """The same on another device."""
+    """Return the batch on another device."""
     return _changed(batch, lambda values: on_device(values, device), lambda one: one.to(device))
 
 
 def joined_rows(batches: Sequence[Rows]) -> Rows:
-    """All examples of several batches, in their order."""
+    """Return all examples of several batches, in order."""
     names = [one.name for one in fields(batches[0])]
     return type(batches[0])(
         **{name: torch.cat([getattr(one, name) for one in batches]) for name in names}
@@ -32,7 +32,7 @@ def joined_rows(batches: Sequence[Rows]) -> Rows:
 
 
 def _changed(batch: Rows, inner: Any, change: Any) -> Rows:
-    """The dataclass with every tensor changed, those of dataclasses inside it too."""
+    """Return the dataclass with every tensor changed, including those of nested dataclasses."""
     values = {one.name: getattr(batch, one.name) for one in fields(batch)}
     return type(batch)(
         **{

@@ -1,6 +1,6 @@
-"""What depth cameras measure of a batch of perfect depth pictures: `sensor_noise.py` on any device.
+"""Depth camera noise for a batch of perfect depth pictures: `sensor_noise.py` on any device.
 
-All pictures of a batch have one size here; every number of a sensor is one per picture.
+All pictures of a batch have the same size; every sensor parameter has one value per picture.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,10 @@ from clothtrack.reconstruction.data.sensor_noise import REFERENCE_DEPTH_M
 from clothtrack.recordings.camera_view import LEAST_JUMP_M
 
 _GRAZING = 0.4
-"""Surfaces whose normal and line of sight have a smaller cosine begin to drop out."""
+"""Cosine between normal and line of sight below which surfaces begin to drop out."""
 
 _STEEP_PIXELS = 6.0
-"""A surface tilted by 80 degrees climbs by so many times a pixel's width from pixel to pixel."""
+"""Depth step between neighboring pixels of a surface tilted by 80 degrees, in pixel widths."""
 
 _CUBIC = -0.75
 
@@ -28,14 +28,14 @@ Masks = Bool[Tensor, "batch height width"]
 def measured_depth(
     depth: Pictures, facing: Pictures, wave: Pictures, sensors: Scenes, generator: Generator
 ) -> Pictures:
-    """What the cameras measure [m] of perfect depth pictures; 0 = no measurement.
+    """Return the measured depth [m] for perfect depth pictures; 0 = no measurement.
 
     Args:
         depth: true depth [m], positive everywhere.
         facing: cosine between the surface's normal and the line of sight.
-        wave: the slowly varying error, in standard deviations.
-        sensors: how badly the cameras measure.
-        generator: of the noise, of the device of the pictures.
+        wave: slowly varying error, in standard deviations.
+        sensors: noise parameters of the cameras.
+        generator: generator of the noise, on the device of the pictures.
     """
 
     def each(values: Float[Tensor, " batch"]) -> Float[Tensor, "batch 1 1"]:
@@ -47,7 +47,7 @@ def measured_depth(
     near, far = _around(depth, torch.minimum), _around(depth, torch.maximum)
     jump = far.sub_(near)
     edge = jump > each(sensors.edge_step_m)
-    # One draw says whether a pixel mixes, and where between both depths it then is.
+    # One draw decides whether a pixel mixes, and its position between both depths.
     drawn = even().div_(each(sensors.edge_mixing.clamp(min=1e-6)))
     mixed = near.addcmul_(jump, drawn)
     error = torch.randn(depth.shape, generator=generator, device=depth.device)
@@ -68,11 +68,11 @@ def measured_depth(
 
 
 def flying(depth: Pictures, focal: Float[Tensor, " batch"]) -> Masks:
-    """Pixels that mix two surfaces (`recordings/camera_view.py: flying_pixels`).
+    """Return pixels that mix two surfaces (`recordings/camera_view.py: flying_pixels`).
 
     Args:
         depth: measured depth [m].
-        focal: of each camera [pixels].
+        focal: focal length of each camera [pixels].
     """
     found = torch.zeros(depth.shape, dtype=torch.bool, device=depth.device)
     limit = depth * (_STEEP_PIXELS / focal)[:, None, None] + LEAST_JUMP_M
@@ -90,16 +90,16 @@ def flying(depth: Pictures, focal: Float[Tensor, " batch"]) -> Masks:
 
 
 def jittered(masks: Masks, grown: Int[Tensor, " batch"]) -> Masks:
-    """Masks as segmentation finds them, some pixels too large or too small.
+    """Return masks with segmentation errors, some pixels too large or too small.
 
     Args:
-        masks: of the cloth.
-        grown: pixels by which each grows, at most 3; negative ones shrink it.
+        masks: masks of the cloth.
+        grown: pixels by which each mask grows, at most 3; negative values shrink it.
     """
     chosen = grown.nonzero()[:, 0]
     pixels = grown.index_select(0, chosen)[:, None, None]
     shrinks = pixels < 0
-    # A mask shrinks where what lies around it grows.
+    # Shrinking a mask is growing its complement.
     changed = masks.index_select(0, chosen).logical_xor_(shrinks)
     for step in range(1, 4):
         larger = _around(changed, torch.logical_or)
@@ -113,12 +113,12 @@ def hidden_by_tools(
     scenes: Scenes,
     shape: tuple[int, int],
 ) -> Masks:
-    """What tools and hands hide: all that is near a line from their tips outwards.
+    """Return pixels that tools and hands hide: all near a line from their tips outwards.
 
     Args:
-        tips: column and row of each [pixels].
-        radius: half the width of each [pixels].
-        scenes: what the pictures show.
+        tips: column and row of each tip [pixels].
+        radius: half the width of each tool [pixels].
+        scenes: scenes of the pictures.
         shape: height and width of the pictures [pixels].
     """
     height, width = shape
@@ -133,12 +133,12 @@ def hidden_by_tools(
 
 
 def cut_off(masks: Masks, side: Int[Tensor, " batch"], share: Float[Tensor, " batch"]) -> Masks:
-    """What the borders of pictures cut off.
+    """Return pixels that the borders of pictures cut off.
 
     Args:
-        masks: of the cloth.
-        side: 0 to 3: right, lower, left and upper end of the picture.
-        share: of each mask's pixels, which is cut off.
+        masks: masks of the cloth.
+        side: side of the picture, 0 to 3: right, lower, left and upper.
+        share: share of each mask's pixels that is cut off.
     """
     found = torch.zeros_like(masks)
     for number in range(4):
@@ -148,7 +148,7 @@ def cut_off(masks: Masks, side: Int[Tensor, " batch"], share: Float[Tensor, " ba
         counts = counts if number < 2 else counts.flip(1)
         ends = counts.cumsum(1)
         total = ends[:, -1:]
-        # The quantile is the first place with more pixels up to it; what lies beyond it goes.
+        # The quantile is the first place with more pixels up to it; pixels beyond it are cut.
         rank = torch.floor((1.0 - share.index_select(0, chosen))[:, None] * (total - 1))
         beyond = ends - counts > rank
         beyond = beyond if number < 2 else beyond.flip(1)
@@ -162,13 +162,13 @@ def waves(
     widths: Float[Tensor, " batch"],
     shape: tuple[int, int],
 ) -> Pictures:
-    """Smooth fields, each spread over its own picture by cubic interpolation.
+    """Return smooth fields, each spread over its own picture by cubic interpolation.
 
     Args:
-        coarse: their values at places that are evenly apart.
-        heights: rows over which each is spread [pixels].
-        widths: columns.
-        shape: height and width of the pictures that come back; beyond its own end a field goes on.
+        coarse: field values at evenly spaced places.
+        heights: rows over which each field is spread [pixels].
+        widths: columns over which each field is spread [pixels].
+        shape: height and width of the returned pictures; a field is extended beyond its own end.
     """
     down = _cubic_weights(coarse.shape[1], heights, shape[0])
     across = _cubic_weights(coarse.shape[2], widths, shape[1])
@@ -178,7 +178,7 @@ def waves(
 def _cubic_weights(
     count: int, sizes: Float[Tensor, " batch"], length: int
 ) -> Float[Tensor, "batch length count"]:
-    """What each of a number of values weighs at each pixel, as OpenCV resizes pictures."""
+    """Return the cubic interpolation weight of each value at each pixel, as in OpenCV's resize."""
     pixels = torch.arange(length, device=sizes.device) + 0.5
     at = pixels[None, :] * (count / sizes)[:, None] - 0.5
     whole = at.floor()
@@ -194,7 +194,7 @@ def _cubic_weights(
 
 
 def _around(pictures: Tensor, least_or_most: Callable[..., Tensor]) -> Tensor:
-    """The least, or the most, of each pixel and the eight around it."""
+    """Return the least, or the most, of each pixel and its eight neighbors."""
     found = pictures
     for axis in (1, 2):
         size = found.shape[axis]

@@ -1,4 +1,4 @@
-"""Where on their meshes measured points lie, for a batch of pictures."""
+"""Projection of measured points to their meshes, for a batch of pictures."""
 
 from typing import NamedTuple
 
@@ -12,13 +12,12 @@ _TINY = 1e-20
 
 
 class OnMesh(NamedTuple):
-    """Places on a mesh.
+    """Locations on a mesh.
 
     Attributes:
-        corners: vertices of the face that each place lies on.
-        weights: of the corners; not negative, and their sum is 1.
-        apart: how far the place is from the point that it stands for [m]; infinite where no face
-            is.
+        corners: vertices of the face that each location is on.
+        weights: weights of the corners; not negative, and their sum is 1.
+        apart: distance of the location from its point [m]; infinite without a face.
     """
 
     corners: Int[Tensor, "batch points 3"]
@@ -27,14 +26,14 @@ class OnMesh(NamedTuple):
 
 
 def on_mesh(points: Float[Tensor, "batch points 3"], measured: Measured) -> OnMesh:
-    """Where on the meshes points lie (`examples.py: faces_of_points`).
+    """Return the mesh locations of points (`labeled_picture.py: faces_of_points`).
 
-    A point is projected to the face that its picture shows where it was measured: of the four
-    pixels around it, the one whose depth is nearest to its own.
+    A point is projected to the face that its picture shows at its pixel. Of the four pixels around
+    it, the one with the nearest depth is used.
 
     Args:
-        points: on the surface that the pixels measured, in the frames of the cameras [m].
-        measured: what shows which face.
+        points: points on the measured surface, in the frames of the cameras [m].
+        measured: pictures that show the faces.
     """
     cloths = measured.cloths
     count, height, width = measured.depth.shape
@@ -66,9 +65,9 @@ def on_mesh(points: Float[Tensor, "batch points 3"], measured: Measured) -> OnMe
 def closest_on_triangle(
     points: Float[Tensor, "*batch 3"], corners: Float[Tensor, "*batch 3 3"]
 ) -> Float[Tensor, "*batch 3"]:
-    """Barycentric coordinates of the point of each triangle that is closest to its point.
+    """Return barycentric coordinates of the closest point on each triangle to its point.
 
-    Inside the triangle it is the projection; else the closest of the three edges' points.
+    This is the projection if it is inside the triangle, else the closest point on an edge.
     """
     a, b, c = corners.unbind(-2)
     sides, starts = (b - a, c - b, a - c), (a, b, c)
@@ -92,16 +91,16 @@ def closest_on_triangle(
 def _projected(
     away: Float[Tensor, "*batch 3"], ab: Float[Tensor, "*batch 3"], ac: Float[Tensor, "*batch 3"]
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Weights of the second and third corner at the projection to a triangle's plane.
+    """Return weights of the second and third corner at the projection to a triangle's plane.
 
     Args:
-        away: from the first corner to the point.
-        ab: from there to the second corner.
-        ac: from there to the third one.
+        away: vector from the first corner to the point.
+        ab: vector from the first to the second corner.
+        ac: vector from the first to the third corner.
     """
     d00, d01, d11 = (ab * ab).sum(-1), (ab * ac).sum(-1), (ac * ac).sum(-1)
     d20, d21 = (away * ab).sum(-1), (away * ac).sum(-1)
     determinant = d00 * d11 - d01 * d01
-    # A sliver has no inside: its weights are none, and an edge is nearest.
+    # A sliver has no interior, so its weights are NaN and an edge is used instead.
     safe = torch.where(determinant > _TINY, determinant, torch.full_like(d00, torch.nan))
     return (d11 * d20 - d01 * d21) / safe, (d00 * d21 - d01 * d20) / safe

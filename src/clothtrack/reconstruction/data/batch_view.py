@@ -1,7 +1,7 @@
-"""The network's pictures of a batch: each cloth as a virtual camera straight above would see it.
+"""The network's pictures of a batch: each cloth seen by a virtual camera straight above.
 
-The same as `view.py: crop`, on any device that PyTorch computes on and without Warp: measured
-pixels are joined to a surface, and the virtual camera draws its triangles.
+The result is that of `view.py: crop`, on any PyTorch device and without Warp. Measured pixels are
+joined to a surface, and the virtual camera renders its triangles.
 """
 
 import math
@@ -22,8 +22,9 @@ from clothtrack.reconstruction.data.view import (
 )
 
 LATTICE = 64
-"""The virtual camera's place is that of so many rows and columns of measured pixels, evenly taken:
-a percentile of a thousand points is within a pixel of the network's picture of that of all."""
+"""Maximum number of evenly spaced rows and columns of measured pixels that determine the virtual
+camera's position. A percentile of a thousand points is within a pixel of the network's picture of
+that of all points."""
 
 _DOWNWARDS = (1.0, -1.0, -1.0)
 
@@ -33,13 +34,13 @@ class Views:
     """The network's pictures.
 
     Attributes:
-        depth: distance along the optical axis of the virtual camera [m]; 0 where no cloth is.
-        position: of the virtual camera in the world [m].
-        rotation: from directions in the real camera's frame to those in the virtual one's, which
-            is mirrored where the world is.
-        shift: where the real camera is in the virtual one's frame [m].
-        focal: of the virtual camera [pixels].
-        is_cloth: whether enough cloth was measured to make a picture of.
+        depth: distance along the virtual camera's optical axis [m]; 0 where there is no cloth.
+        position: position of the virtual camera in the world [m].
+        rotation: rotation from the real camera's frame to the virtual one's; it includes a
+            reflection if the world is mirrored.
+        shift: position of the real camera in the virtual one's frame [m].
+        focal: focal length of the virtual camera [pixels].
+        is_cloth: whether enough cloth was measured for a picture.
     """
 
     depth: Float[Tensor, "batch size size"]
@@ -50,7 +51,7 @@ class Views:
     is_cloth: Bool[Tensor, " batch"]
 
     def points(self, pixels: Int[Tensor, "batch asked 2"]) -> Float[Tensor, "batch asked 3"]:
-        """Where pixels (row, column) were measured, in the frame of the real camera [m]."""
+        """Return measured points of pixels (row, column), in the frame of the real camera [m]."""
         rows, columns = pixels.unbind(2)
         size = self.depth.shape[1]
         depth = self.depth.flatten(1).gather(1, rows * size + columns)
@@ -64,13 +65,13 @@ def above(
     world: Float[Tensor, "batch 3 3"],
     config: ViewConfig,
 ) -> Views:
-    """The network's pictures of measured depth.
+    """Return the network's pictures of measured depth.
 
     Args:
         measured: depth pictures of real cameras.
-        world: what is done to the world of each first: a turn about the vertical, or a mirror
-            image of one.
-        config: of the network.
+        world: transformation of each world that is applied first: a turn about the vertical, or a
+            mirror image of one.
+        config: picture settings of the network.
     """
     scenes = measured.cloths.scenes
     to_world = world @ scenes.rotation
@@ -98,7 +99,7 @@ def _camera_positions(
     origin: Float[Tensor, "batch 3"],
     config: ViewConfig,
 ) -> Float[Tensor, "batch 3"]:
-    """Where the virtual cameras stand in the world [m] (`view.py: view_camera`)."""
+    """Return positions of the virtual cameras in the world [m] (`view.py: view_camera`)."""
     step = -(-max(measured.depth.shape[1:]) // LATTICE)
     depth = measured.depth[:, ::step, ::step]
     shown = measured.mask[:, ::step, ::step].flatten(1)
@@ -112,7 +113,7 @@ def _camera_positions(
     middle = [0.5 * (one + other) for one, other in zip(low[:2], high[:2], strict=True)]
     side = torch.maximum(high[0] - low[0], high[1] - low[1]) * (1.0 + 2.0 * config.view_margin)
     half = math.tan(math.radians(config.field_of_view_deg) / 2.0)
-    # Cloth that is lifted stays in the picture, and below the camera.
+    # Raise the camera so that lifted cloth stays in the picture and below the camera.
     out = torch.maximum((x - middle[0][:, None]).abs(), (y - middle[1][:, None]).abs())
     _, in_view = _ends(out / half + z - low[2][:, None], shown)
     up = torch.maximum(0.5 * side.clamp(min=config.least_view_m) / half, in_view)
@@ -123,7 +124,7 @@ def _camera_positions(
 def _ends(
     values: Float[Tensor, "batch points"], shown: Bool[Tensor, "batch points"]
 ) -> tuple[Float[Tensor, " batch"], Float[Tensor, " batch"]]:
-    """Values between which all but few of the shown ones are; 0 and 0 where none is shown."""
+    """Return bounds of the shown values without outliers; 0 and 0 if none is shown."""
     share = OUTLIERS / 100.0
     last = (shown.sum(1) - 1).clamp(min=0)
     place = (share * last)[:, None]
@@ -142,7 +143,7 @@ def _ends(
 def _rays(
     across: Float[Tensor, "batch width"], down: Float[Tensor, "batch height"]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The line of sight of each pixel at depth 1, to be broadcast."""
+    """Return the line of sight of each pixel at depth 1, in broadcastable parts."""
     return across[:, None], down[..., None], torch.ones_like(across[:, None])
 
 
@@ -153,7 +154,7 @@ def _seen_from(
     focal: float,
     middle: float,
 ) -> Projected:
-    """Where the virtual cameras see each measured pixel."""
+    """Return the projection of each measured pixel into the virtual cameras."""
     local = []
     for row in range(3):
         right, downwards, ahead = rotation[:, row].unbind(1)
@@ -167,7 +168,7 @@ def _seen_from(
 
 
 def _joined(measured: Measured) -> Int[Tensor, "3 faces"]:
-    """Triangles between neighboring pixels (`view.py: _joined`), over all pixels of the batch."""
+    """Return triangles between neighboring pixels of the whole batch (`view.py: _joined`)."""
     depth, shown = measured.depth, measured.mask
     width = depth.shape[2]
     a, b = (depth[:, :-1, :-1], shown[:, :-1, :-1]), (depth[:, :-1, 1:], shown[:, :-1, 1:])

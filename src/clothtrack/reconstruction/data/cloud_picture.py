@@ -1,7 +1,7 @@
-"""A depth picture of a cloud: as a camera straight above would have measured it.
+"""A depth picture of a cloud, as measured by a camera straight above.
 
-The network is shown pictures. What was recorded as points alone, of one camera or of several that
-were merged, becomes one here; what lies under something else is not in it.
+The network's input is a picture. A recording of points alone, of one camera or merged from several,
+is rendered to a picture here. Points under other points are not visible in it.
 """
 
 import numpy as np
@@ -13,34 +13,34 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.segmentation import main_components
 
 _ABOVE_M = 1.5
-"""The virtual camera stands so far above the highest point [m]."""
+"""Height of the virtual camera above the highest point [m]."""
 
 FINEST_M, COARSEST_M = 0.002, 0.01
-"""Between which a pixel is wide, on the middle of the cloud [m]."""
+"""Bounds of a pixel's width at the middle of the cloud [m]."""
 
 _SPACINGS = 2.0
-"""Pixels are so many times as wide as nine points in ten have a neighbor near, in plan: few pixels
-stay empty then."""
+"""Pixel width over the 90th percentile of the horizontal nearest-neighbor distance, chosen so that
+few pixels are empty."""
 
 LEAST_POINTS = 16
-"""A cloud with fewer shows no cloth."""
+"""Minimum number of points of a cloud that shows cloth."""
 
 _EDGE = 2
 _ENCLOSED = 5
-"""A pixel with so many measured ones of its eight neighbors is a hole."""
+"""Number of measured pixels among eight neighbors from which an empty pixel is a hole."""
 
 
 def cloud_picture(
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"], Camera]:
-    """Depth [m], mask of what was measured, and the camera, straight above the points.
+    """Return depth [m], mask of measured pixels, and the camera straight above the points.
 
-    In each pixel the highest point counts. Holes of one pixel are closed by the median of their
-    neighbors; larger ones stay: nobody knows what lies there. Of parts that do not touch, those of
-    less than a quarter of the largest are dropped, as in masks (`main_components`).
+    Each pixel shows its highest point. Holes of one pixel are filled with the median of their
+    neighbors. Larger holes stay, because their depth is unknown. Separate parts smaller than a
+    quarter of the largest are dropped, as in masks (`main_components`).
 
     Args:
-        points: of the cloth [m], world, z up.
+        points: points of the cloth [m], world, z up.
 
     Raises:
         InvalidRecordingError: there are too few points.
@@ -68,7 +68,7 @@ def _camera_above(points: Float[np.ndarray, "points 3"]) -> Camera:
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = middle[0], middle[1], high[2] + _ABOVE_M
     focal = (pose[2, 3] - float(np.median(points[:, 2]))) / pixel_m
-    # What is nearest to the camera looks largest.
+    # The highest points, `_ABOVE_M` below the camera, appear largest.
     half = np.ceil(0.5 * (high - low)[:2] * focal / _ABOVE_M).astype(int) + _EDGE
     width, height = (2 * half + 1).tolist()
     return Camera("above", width, height, focal, focal, float(half[0]), float(half[1]), pose)

@@ -1,9 +1,9 @@
 """Crumples a garment on a table: folds, lifts, drops and pushes it, picks it up and places it.
 
 Two recipes are those of the published data generators (MEDOR's `collect_data_bimanual2.py`,
-SoftGym's random drop); the others are what hands and grippers do to cloth. An episode is a few
-states of one garment, each of which starts from the one before. A state is taken when the cloth has
-come to rest, on the table or in the gripper.
+SoftGym's random drop); the others imitate hands and grippers. An episode is a few states of one
+garment, each of which starts from the previous one. A state is recorded when the cloth has come to
+rest, on the table or in the gripper.
 """
 
 from collections.abc import Iterator
@@ -38,49 +38,49 @@ STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
 
 _SMOOTHED = 0.3
-"""Share of soft folds at which a hand smooths the cloth afterwards."""
+"""Share of soft folds after which a hand smooths the cloth."""
 
 _SMOOTHING_M = 0.02
-"""How far a hand that laid a garment of `REFERENCE_SIZE_M` flat may have pulled it last [m]."""
+"""Largest pull of a hand that smooths a flat garment of `REFERENCE_SIZE_M` [m]."""
 
 _HANG_M = (0.03, 0.25)
-"""Distance of such a hanging garment from the table before it is dropped [m], least and largest."""
+"""Bounds of the distance of such a hanging garment from the table before it is dropped [m]."""
 
 _HANG_S = 0.1
-"""How long it hangs [s]."""
+"""Time that it hangs [s]."""
 
 _LIFT_SPEED = 1.2
 """Speed at which a vertex of such a garment is lifted [m/s]."""
 
 REST_SPEED = 0.1
-"""A cloth is at rest when no vertex covers more way than this in `_WINDOW_STEPS` [m/s]."""
+"""Mean speed over `_WINDOW_STEPS` below which all vertices must be for a cloth at rest [m/s]."""
 
 _PULL_REACH = 0.7
-"""No pull leads farther from where the garment lay flat than this, over its longer side."""
+"""Largest distance of a pull's end from where the garment lay flat, over its longer side."""
 
 MOST_LAYERS, MOST_HEIGHT = 4.5, 0.03
-"""A pressed stack of more layers than this, or that is higher over the garment's size, is not
-folded as a whole any more: it would have twice as many."""
+"""Number of layers, and height over the garment's size, above which a pressed stack is no longer
+folded as a whole, because a fold doubles the layers."""
 
 _AGAIN = 0.6
-"""Share of stacks of many layers of which a part is folded back; others are unfolded."""
+"""Share of stacks of many layers that have a part folded back; others are unfolded."""
 
 _LOFT = 0.3
-"""Largest loft of a crease over the length of an edge: edges into it keep their lengths."""
+"""Largest loft of a crease over the edge length, so that edges into it keep their lengths."""
 
 _LOFT_M = (0.0003, 0.006)
-"""How much farther layers are apart at the creases of a pressed stack [m], least and largest; its
-logarithm is drawn evenly. Hands do not iron."""
+"""Bounds of the additional distance of layers at the creases of a pressed stack [m], log-uniform.
+Creases are not flat, because hands press less than an iron."""
 
 SOFTEST = 0.6
-"""Least share of its height to which a soft fold is pressed: its bulges would lose their length."""
+"""Least share of its height that a soft fold is pressed to; below, its bulges lose length."""
 
 _DRIFT_M = 0.1
-"""How far aside a lifted vertex of a garment of `REFERENCE_SIZE_M` is let go at most [m]."""
+"""Largest sideways motion of a lifted vertex of a garment of `REFERENCE_SIZE_M` [m]."""
 
 _HELD_SHARE = (0.15, 1.15)
-"""How high a held vertex is lifted, over its distance from the farthest vertex of the flat garment:
-above 1 all the cloth hangs in the air."""
+"""Bounds of the height that a held vertex is lifted to, over its distance from the farthest vertex
+of the flat garment. Above 1 the whole cloth hangs in the air."""
 
 _HELD_BY_CORNER = 0.7
 """Share of held vertices that are extreme points of the outline."""
@@ -90,10 +90,11 @@ _HELD_TWICE = 0.35
 
 _PUSH_RADIUS = 0.12
 _PUSH_WAY = (0.1, 0.4)
-"""A hand presses on all cloth within this of a point and pushes it so far, over the longer side."""
+"""Radius of the cloth that a hand presses on, and bounds of the length of its push, both over the
+longer side."""
 
 _WINDOW_STEPS = 4
-"""Steps of the solver over which the way of a vertex is measured while waiting for rest."""
+"""Number of solver steps over which motion is measured while waiting for rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +102,10 @@ class CrumpledState:
     """One state of an episode.
 
     Attributes:
-        recipe: how it came about.
-        positions: the vertices [m] where the solver left them.
-        speed: way of the fastest vertex in the last tenth of a second, over that time [m/s].
-        exploded: it is no cloth any more; nothing can follow from it.
+        recipe: recipe that produced it.
+        positions: final vertices [m].
+        speed: mean speed of the fastest vertex in the last tenth of a second [m/s].
+        exploded: whether the simulation is invalid, so that the episode ends.
     """
 
     recipe: Recipe
@@ -114,11 +115,11 @@ class CrumpledState:
 
 
 class Crumpler:
-    """One garment on a table, and what is done to it.
+    """One garment on a table, and the recipes that crumple it.
 
     Attributes:
         mesh: the flat garment.
-        config: how states come about.
+        config: settings of the recipes.
     """
 
     def __init__(
@@ -134,8 +135,8 @@ class Crumpler:
 
         Args:
             mesh: the flat garment.
-            config: how states come about.
-            solver: how motion is computed; its thickness is the distance that contact keeps.
+            config: settings of the recipes.
+            solver: settings of the solver; its thickness is the distance that contact keeps.
             thickness_m: distance of the layers of a pressed stack [m]; that of contact when None.
             device: "cpu" or "cuda:0".
         """
@@ -167,11 +168,11 @@ class Crumpler:
     def episode(
         self, parameters: ClothParameters, rng: np.random.Generator
     ) -> Iterator[CrumpledState]:
-        """The states of one episode; an exploded one is its last.
+        """Iterate over the states of one episode; an exploded one is the last.
 
         Args:
-            parameters: what the cloth is made of.
-            rng: source of everything random.
+            parameters: material of the cloth.
+            rng: source of all randomness.
         """
         self._solver.set_parameters(parameters)
         self._lay_down(turned_over=rng.random() < self.config.turned_over)
@@ -192,7 +193,7 @@ class Crumpler:
             recipe = self._next(recipe, rng)
 
     def _next(self, recipe: Recipe, rng: np.random.Generator) -> Recipe:
-        """Choose what follows a recipe; a stack that is too thick for a fold is unfolded first."""
+        """Choose the next recipe; a stack too thick for another fold may be unfolded first."""
         if recipe == "held":
             return "release"
         following = self.config.after_fold if recipe in NEAT else self.config.next_shares
@@ -213,7 +214,7 @@ class Crumpler:
         return drawn(following, rng)
 
     def _let_go(self) -> None:
-        """Give a pressed stack to the solver, its layers as far apart as contact keeps them."""
+        """Place a pressed stack in the solver, with its layers at the contact distance."""
         if self._stack is not None:
             self._folds.layers.thickness_m = 2.0 * self._rest_height_m
             self._solver.place(self._folds.layers.pressed(self._stack))
@@ -232,23 +233,23 @@ class Crumpler:
         self._attached = None
 
     def _scaled(self, bounds: tuple[float, float]) -> tuple[float, float]:
-        """Bounds of a length [m] for a garment of this size."""
+        """Return bounds of a length [m] for a garment of this size."""
         return bounds[0] * self._scale, bounds[1] * self._scale
 
     def _speed(self, speed: float) -> float:
-        """A speed [m/s] for a garment of this size."""
+        """Return a speed [m/s] for a garment of this size."""
         return speed * float(np.sqrt(self._scale))
 
     # Recipes
 
     def _flat(self, rng: np.random.Generator) -> None:
-        """Pull at one vertex a little, as a hand does that smooths the cloth."""
+        """Pull at one vertex a little, like a hand that smooths the cloth."""
         vertex = int(rng.integers(self.mesh.vertex_count))
         way = _aside(rng.uniform(0.0, _SMOOTHING_M * self._scale), rng)
         self._carry(np.array([vertex]), way * np.linspace(0.0, 1.0, 5)[1:, None])
 
     def _lift(self, rng: np.random.Generator) -> None:
-        """Lift one vertex so far that part of the cloth stays on the table, and let it go."""
+        """Lift one vertex while part of the cloth stays on the table, and let it go."""
         vertex = int(rng.integers(self.mesh.vertex_count))
         self._raise(vertex, rng.uniform(*self._scaled(self.config.lift_m)), rng)
 
@@ -259,7 +260,7 @@ class Crumpler:
         self._raise(vertex, self._hanging_m(vertex) + clear_m, rng)
 
     def _held(self, rng: np.random.Generator) -> None:
-        """Lift one vertex, or two, and keep hold: the state is taken in the air."""
+        """Lift one vertex, or two, and keep hold, so that the state is recorded in the air."""
         first = self._grasped(rng)
         vertices = [first]
         if rng.random() < _HELD_TWICE:
@@ -268,14 +269,15 @@ class Crumpler:
         self._attached = self._raise(np.unique(vertices), height_m, rng)
 
     def _release(self, rng: np.random.Generator) -> None:
-        """Let go of what was held; the wait for rest does the falling."""
+        """Let go of the held cloth, which falls while the episode waits for rest."""
 
     def _folded(
         self, recipe: Recipe, rng: np.random.Generator, *, pressed: bool
     ) -> tuple[Recipe, CrumpledState]:
-        """Fold neatly; return what was done in the end, and what came of it.
+        """Fold neatly; return the recipe that was actually used, and the state.
 
-        A pressed stack lies as hands left it. Otherwise, and when it is rolled, the solver lets go.
+        A pressed stack keeps its folded shape. Otherwise, and if it is rolled, the solver lets the
+        cloth relax.
         """
         pressed &= recipe != "roll"
         layers = self._folds.layers
@@ -297,9 +299,10 @@ class Crumpler:
         return recipe, self._rest(recipe)
 
     def _finished(self, state: CrumpledState, rng: np.random.Generator) -> CrumpledState:
-        """What lies flat or folded, pressed by a hand, and with fine wrinkles; others as they are.
+        """Press flat and folded states and add fine wrinkles; return other states unchanged.
 
-        Thin cloth is simulated as thick as contact needs: flat, it is pressed to its own thickness.
+        Thin cloth is simulated with the thickness that contact needs. If flat, it is pressed to its
+        own thickness.
         """
         if state.exploded or (state.recipe not in NEAT and state.recipe != "flat"):
             return state
@@ -331,7 +334,7 @@ class Crumpler:
         self._carry(np.flatnonzero(under), way * np.linspace(0.0, 1.0, steps + 1)[1:, None])
 
     def _grasped(self, rng: np.random.Generator) -> int:
-        """A vertex that a hand would take: mostly an extreme point of the outline."""
+        """Return a vertex that a hand would grasp, mostly an extreme point of the outline."""
         points = self._solver.positions[0]
         if rng.random() >= _HELD_BY_CORNER:
             return int(rng.integers(len(points)))
@@ -339,14 +342,14 @@ class Crumpler:
         return int(np.argmax(points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])))
 
     def _hanging_m(self, vertex: int) -> float:
-        """Length of the garment as it hangs from a vertex [m]."""
+        """Return the length of the garment hanging from a vertex [m]."""
         flat = self.mesh.vertices
         return float(np.linalg.norm(flat - flat[vertex], axis=1).max())
 
     def _raise(
         self, vertices: int | np.ndarray, height_m: float, rng: np.random.Generator
     ) -> Attachment:
-        """Lift vertices that move alike, and wait a moment; what holds them at the end."""
+        """Lift vertices together, wait a moment, and return the attachment at the end."""
         drift_m = rng.uniform(0.0, _DRIFT_M * self._scale)
         way = _aside(drift_m, rng) + [0.0, 0.0, height_m]
         speed = self._speed(_LIFT_SPEED)
@@ -356,7 +359,7 @@ class Crumpler:
         return self._carry(np.atleast_1d(vertices), way * share[:, None])
 
     def _pick_and_place(self, rng: np.random.Generator) -> None:
-        """Carry what one gripper, or two that move alike, took hold of."""
+        """Pick and place with one gripper, or two that move alike."""
         cloth = self.mesh.with_vertices(self._solver.positions[0].astype(np.float64))
         first = self._plan(cloth, rng)
         held = first.held
@@ -369,17 +372,17 @@ class Crumpler:
         bounds = np.cumsum([config.folded, config.middle, config.pulled])
         kinds: tuple[Picks, ...] = ("folded", "middle", "pulled", "outline")
         picks = kinds[int(np.searchsorted(bounds, rng.random(), "right"))]
-        # What is pulled lies at the outline already, and must be able to leave it.
+        # A pulled vertex starts at the outline and must be able to move beyond it.
         reach_m = self._pull_reach_m if picks == "pulled" else self._action.reach_m
         return plan_action(cloth, replace(self._action, picks=picks, reach_m=reach_m), rng)
 
     # Motion
 
     def _carry(self, held: np.ndarray, ways: Float[np.ndarray, "steps 3"]) -> Attachment:
-        """Move vertices along a path [m] from where they are, a step of the solver per point.
+        """Move vertices along a path [m] relative to their positions, one solver step per point.
 
         Returns:
-            What held them at the last point.
+            The attachment at the last point.
         """
         start = self._solver.positions[:, held].astype(np.float64)
         targets = np.zeros((1, self.mesh.vertex_count, 3))
@@ -391,7 +394,7 @@ class Crumpler:
         return Attachment(targets, strength)
 
     def _rest(self, recipe: Recipe) -> CrumpledState:
-        """Wait for the cloth to come to rest, in the air where it is held."""
+        """Wait for the cloth to come to rest, in the air if it is held."""
         solver, config = self._solver, self.config
         attached, self._attached = self._attached, None
         before, speed, used = solver.positions[0], np.inf, 0.0
@@ -415,6 +418,6 @@ class Crumpler:
 
 
 def _aside(distance_m: float, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
-    """A horizontal way of this length in a random direction [m]."""
+    """Return a horizontal displacement of this length in a random direction [m]."""
     heading = rng.uniform(0.0, 2.0 * np.pi)
     return distance_m * np.array([np.cos(heading), np.sin(heading), 0.0])

@@ -1,4 +1,4 @@
-"""Folds a garment that lies on a table, as hands do: which line, which part, how carefully."""
+"""Folds a garment on a table like hands do: choice of line, part and accuracy."""
 
 from typing import Literal, get_args
 
@@ -13,45 +13,45 @@ NeatFold = Literal[
     "turn_over",
 ]  # fmt: skip
 NEAT: tuple[str, ...] = get_args(NeatFold)
-"""What hands do to a stack of cloth; a garment is mostly folded further after it."""
+"""Neat folds of a stack of cloth; after one, a garment is mostly folded further."""
 
 EXACT = 0.5
-"""Share of folds with which a hand takes care."""
+"""Share of folds that are made carefully."""
 
 CAREFUL_RAD, CARELESS_RAD = np.radians(0.5), np.radians(4.0)
 CAREFUL, CARELESS = 0.004, 0.03
 """Standard deviations of a fold's direction [rad], and of its line over the garment's size."""
 
 _DIAGONAL = 0.6
-"""How often cloth is folded in half over its diagonal, over how often along a side, where edges
-come to lie on edges alike."""
+"""Frequency of diagonal half folds over that of half folds along a side, if the edges align equally
+well."""
 
 _FOLDED_PART = (0.12, 0.5)
-"""Least and largest share of the vertices beyond a line that lies anywhere."""
+"""Bounds of the share of vertices beyond the line of a fold anywhere."""
 
 CORNER = (0.08, 0.45)
-"""How far from a corner the line lies that folds it, over the garment's size."""
+"""Bounds of the distance of the line of a corner fold from the corner, over the garment's size."""
 
 _TOP_DEPTH = (0.06, 0.5)
-"""How far from its rim upper layers are folded back, over the garment's size."""
+"""Bounds of the depth to which upper layers are folded back, over the garment's size."""
 
 _TRIES = 12
-"""Lines that are tried for a part of the uppermost layers."""
+"""Number of lines that are tried for a part of the uppermost layers."""
 
 _BODY_ROWS = 0.15
-"""The lowest share of a shirt's length, by which the width of its body is told."""
+"""Lowest share of a shirt's length, which determines the width of its body."""
 
 _SLEEVES = 1.1
-"""Something sticks out of a body that is this much narrower at its lower end."""
+"""Ratio of the whole width to the body's width above which a garment has sleeves."""
 
 
 class NeatFolds:
-    """Folds of one garment: each takes where the vertices are [m], and returns where they go.
+    """Folds of one garment, each a function from vertex positions [m] to new positions [m].
 
     Attributes:
-        layers: its layers, of which the creases are remembered.
+        layers: its layers, with the creases of its folds.
         size_m: longer side of the flat garment [m].
-        has_sleeves: something of it sticks out sideways above its lower end.
+        has_sleeves: whether it is clearly wider than at its lower end.
     """
 
     def __init__(self, mesh: ClothMesh, thickness_m: float) -> None:
@@ -71,7 +71,7 @@ class NeatFolds:
     def fold(
         self, recipe: NeatFold, points: Points, rng: np.random.Generator
     ) -> tuple[NeatFold, Points]:
-        """Fold, roll or turn over; what was done, since not everything can be done to any stack."""
+        """Fold, roll or turn over; return the recipe used, which may be a fallback, and points."""
         if recipe == "fold_sleeves" and not self.has_sleeves:
             recipe = "fold_strips"
         if recipe == "fold_top":
@@ -87,14 +87,14 @@ class NeatFolds:
         return recipe, way(points, rng)
 
     def anywhere(self, points: Points, rng: np.random.Generator) -> Points:
-        """Fold the smaller part over the larger one, over any line."""
+        """Fold the smaller part over the larger one, over a random line."""
         angle = rng.uniform(0.0, 2.0 * np.pi)
         across = Line.at(angle, 0.0).beyond(points)
         share = 1.0 - rng.uniform(*_FOLDED_PART)
         return self.layers.wrapped(points, Line.at(angle, float(np.quantile(across, share))))
 
     def half(self, points: Points, rng: np.random.Generator) -> Points:
-        """Fold everything in half, so that edges come to lie on edges."""
+        """Fold everything in half, so that edges align with edges."""
         angles = axes_of(points)[0] + 0.25 * np.pi * np.arange(8)
         fits = np.array([self._overlap(points, self._middle(points, one)) for one in angles])
         share = np.where(np.arange(8) % 2, _DIAGONAL, 1.0) * np.maximum(fits, 0.05) ** 6
@@ -143,7 +143,7 @@ class NeatFolds:
         return points
 
     def roll(self, points: Points, rng: np.random.Generator) -> Points:
-        """Roll cloth up from one side, wholly or in part."""
+        """Roll up cloth from one side, completely or in part."""
         first, sides = axes_of(points)
         longer = int(np.argmax(sides))
         axis = longer if rng.random() < 0.6 else 1 - longer
@@ -169,19 +169,19 @@ class NeatFolds:
         return None
 
     def _care(self, rng: np.random.Generator) -> tuple[float, float]:
-        """How far the direction [rad] and the line [m] are from where a hand aims."""
+        """Draw the errors of a fold's direction [rad] and of its line [m]."""
         careful = rng.random() < EXACT
         turn = (CAREFUL_RAD if careful else CARELESS_RAD) * rng.standard_normal()
         return turn, (CAREFUL if careful else CARELESS) * self.size_m * rng.standard_normal()
 
     def _middle(self, points: Points, angle: float, shift_m: float = 0.0) -> Line:
-        """The line that folds one rim onto the other: the bend of the middle layer counts too."""
+        """Return the line that folds one rim onto the other, given the middle layer's bend."""
         along = Line.at(angle, 0.0).beyond(points)
         bend_m = 0.25 * np.pi * (np.ptp(points[:, 2]) + self.layers.thickness_m)
         return Line.at(angle, 0.5 * float(along.max() + along.min() - bend_m) + shift_m)
 
     def _overlap(self, points: Points, line: Line) -> float:
-        """Share of what is folded over that comes to lie on cloth."""
+        """Return the overlap of the folded part and the rest, the smaller of both shares."""
         beyond = line.beyond(points)
         folded = (points - 2.0 * beyond[:, None] * line.across)[beyond > 0.0, :2]
         if not len(folded) or len(folded) == len(points):

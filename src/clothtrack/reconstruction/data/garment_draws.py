@@ -1,4 +1,4 @@
-"""What garments states are made of: how large, how cut, of what cloth."""
+"""Random draws of garments: size, cut and cloth."""
 
 from dataclasses import dataclass
 from typing import get_args
@@ -11,26 +11,26 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.parameters import ClothParameters
 
 BEND_LENGTH_M = 0.016
-"""Length of an edge [m] for which a bend compliance is drawn. Between vertices that are farther
-apart the same cloth gives more, by the square of their distance."""
+"""Edge length [m] that a bend compliance is drawn for. The compliance of the same cloth grows with
+the square of the edge length."""
 
 KINDS: tuple[str, ...] = get_args(ClothKind)
 
 
 @dataclass(frozen=True)
 class GarmentRanges:
-    """How large garments are, and how they are cut: bounds of an even draw.
+    """Sizes and cuts of garments, as bounds of a uniform draw.
 
     Attributes:
-        towel_side_m: longer side of a towel or a blanket [m]; its logarithm is drawn evenly.
+        towel_side_m: longer side of a towel or a blanket [m], log-uniform.
         towel_aspect: shorter side over the longer one.
-        square: share of towels whose sides are equal.
-        shirt_length_m: from the hem to the neck [m]; its logarithm is drawn evenly.
+        square: share of towels with equal sides.
+        shirt_length_m: length from the hem to the neck [m], log-uniform.
         long_sleeves: share of shirts with long sleeves (`garments.outlines.draw_shirt`).
         sweaters, robes: shares of shirts that are cut as a sweater, and as a robe.
-        robe_length_m: the same length of a robe [m].
+        robe_length_m: length of a robe from the hem to the neck [m], log-uniform.
         open_shirts, open_sweaters, open_robes: shares that are open in front.
-        trousers_length_m, shorts_length_m: from the waist to the cuffs [m].
+        trousers_length_m, shorts_length_m: length from the waist to the cuffs [m], log-uniform.
         shorts: share of trousers with short legs.
     """
 
@@ -52,18 +52,18 @@ class GarmentRanges:
 
 @dataclass(frozen=True)
 class ClothRanges:
-    """What garments are made of: bounds of an even draw.
+    """Materials of garments, as bounds of a uniform draw.
 
     Attributes:
-        thickness_m: distance of the layers of a pressed stack [m]; its logarithm is drawn evenly.
-        contact_m: least distance that layers keep in the solver [m] in a garment of
-            `REFERENCE_SIZE_M`; it grows with the root of the size. A little more than the
-            benchmark's cloth, which halves the crossings.
+        thickness_m: distance of the layers of a pressed stack [m], log-uniform.
+        contact_m: least distance that layers keep in the solver [m] for a garment of
+            `REFERENCE_SIZE_M`; it grows with the root of the size. It is a little more than that of
+            the benchmark's cloth, which halves the crossings.
         area_density: mass per area [kg/m^2].
         bend_compliance: inverse stiffness between vertices that face each other across an edge of
-            `BEND_LENGTH_M` [m/N]; its logarithm is drawn evenly.
-        stretch_compliance: inverse stiffness of an edge [m/N]; its logarithm is drawn evenly. At 0
-            a sheet of 16 mm edges is too stiff to wrinkle: a dropped T-shirt may spring out flat.
+            `BEND_LENGTH_M` [m/N], log-uniform.
+        stretch_compliance: inverse stiffness of an edge [m/N], log-uniform. At 0 a sheet of 16 mm
+            edges is too stiff to wrinkle, and a dropped T-shirt may spring out flat.
         table_friction: Coulomb coefficient between cloth and table.
         particle_friction: Coulomb coefficient between cloth and cloth.
     """
@@ -85,9 +85,9 @@ def draw_garment(
     Args:
         kind: "towel" for blankets too; "tshirt" for polos, sweaters, cardigans and robes, with
             sleeves of any length; "trousers" for shorts.
-        ranges: of sizes and cuts.
-        vertex_count: about how many vertices it has.
-        rng: of its size, outline and triangulation.
+        ranges: ranges of sizes and cuts.
+        vertex_count: approximate vertex count.
+        rng: source of its size, outline and triangulation.
     """
     if kind == "towel":
         return _towel(ranges, vertex_count, rng)
@@ -114,7 +114,7 @@ def draw_garment(
 
 
 def _towel(ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator) -> ClothMesh:
-    """Draw a rectangle that lies across."""
+    """Draw a rectangle with its longer side along x."""
     length_m = _log_even(ranges.towel_side_m, rng)
     square = rng.random() < ranges.square
     aspect = 1.0 if square else float(rng.uniform(*ranges.towel_aspect))
@@ -128,7 +128,7 @@ def _towel(ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator) -
 
 
 def _log_even(bounds: tuple[float, float], rng: np.random.Generator) -> float:
-    """Draw a number whose logarithm lies evenly between those of two bounds."""
+    """Draw a log-uniform number between two bounds."""
     return float(np.exp(rng.uniform(*np.log(bounds))))
 
 
@@ -137,7 +137,7 @@ def _seed(rng: np.random.Generator) -> int:
 
 
 def draw_parameters(ranges: ClothRanges, rng: np.random.Generator) -> ClothParameters:
-    """What one cloth is made of, drawn from the ranges."""
+    """Draw the material of one cloth from the ranges."""
     bend = _log_even(ranges.bend_compliance, rng)
     stretch = _log_even(ranges.stretch_compliance, rng)
     return ClothParameters(

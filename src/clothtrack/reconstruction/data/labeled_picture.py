@@ -1,4 +1,4 @@
-"""A depth picture of a cloth of which every vertex is known, and where on it points lie."""
+"""Depth pictures of a cloth with known vertices, and the projection of points to its mesh."""
 
 from dataclasses import dataclass, replace
 
@@ -11,13 +11,13 @@ from clothtrack.geometry.closest_point import closest_on_triangle, interpolate
 
 @dataclass(frozen=True, eq=False)
 class LabeledPicture:
-    """A depth picture of a cloth of which every vertex is known.
+    """A depth picture of a cloth with known vertex positions.
 
     Attributes:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: where the cloth is thought to be.
-        camera: that took the picture.
-        faces: the face of the mesh that each pixel shows; -1 where none does.
+        mask: segmentation of the cloth.
+        camera: camera that took the picture.
+        faces: face of the mesh that each pixel shows; -1 for none.
         positions: vertices in the world [m], z up.
     """
 
@@ -28,9 +28,9 @@ class LabeledPicture:
     positions: Float[np.ndarray, "vertices 3"]
 
     def mirrored(self) -> "LabeledPicture":
-        """The same seen in a mirror: the world's x has the other sign."""
+        """Return the mirror image, in which the world's x has the opposite sign."""
         pose = self.camera.world_from_camera.copy()
-        # Two reflections, of the world and of the picture's columns, make a camera again.
+        # Reflect both the world and the picture's columns, so that the pose stays a rotation.
         pose[0, :] *= -1.0
         pose[:3, 0] *= -1.0
         camera = replace(
@@ -45,7 +45,7 @@ class LabeledPicture:
         )
 
     def turned(self, angle: float) -> "LabeledPicture":
-        """Camera and cloth turned about the vertical through the origin [rad]."""
+        """Return camera and cloth turned about the vertical through the origin [rad]."""
         positions = self.positions @ about_vertical(angle).T
         return replace(self, camera=self.camera.turned(angle), positions=positions)
 
@@ -57,16 +57,16 @@ def faces_of_points(
     *,
     cut_m: float,
 ) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"], Bool[np.ndarray, " points"]]:
-    """Return where on the mesh measured points lie: face, weights of its corners, whether near.
+    """Return the mesh locations of measured points: face, weights of its corners, whether near.
 
-    A point is projected to the face that the picture shows at the pixel where it was measured: of
-    the four pixels around it, the one whose depth is nearest to its own.
+    A point is projected to the face that the picture shows at its pixel. Of the four pixels around
+    it, the one with the nearest depth is used.
 
     Args:
-        points: on the surface that the picture's pixels measured, in the world [m].
-        picture: what shows which face.
-        faces: of the mesh.
-        cut_m: points further from the mesh [m] are not on it.
+        points: points on the measured surface, in the world [m].
+        picture: picture that shows the faces.
+        faces: faces of the mesh.
+        cut_m: largest distance of a point from the mesh [m].
     """
     pixels, depth = picture.camera.project(points)
     height, width = picture.depth_m.shape

@@ -1,9 +1,9 @@
-"""The layers of a cloth that lies folded on a table: how they are pressed, wrapped and rolled.
+"""The layers of a cloth that lies folded on a table: pressing, wrapping and rolling.
 
-Cloth beyond a line is laid around it, each layer by its own radius, so that layers keep their
-order and their lengths. What is folded is a part of the mesh that hangs together beyond the line:
-the line is the only place where it meets what stays, so that nothing is torn, and a part that
-nothing lies on can be folded back alone.
+Cloth beyond a line is wrapped around it, each layer with its own radius, so that layers keep their
+order and their lengths. A fold moves a connected part of the mesh beyond the line. The part meets
+the rest only at the line, so that nothing is torn, and a part with nothing on top can be folded
+back alone.
 """
 
 from dataclasses import dataclass
@@ -20,36 +20,36 @@ Points = Float[np.ndarray, "vertices 3"]
 """Vertices of a cloth on the table z = 0 [m]."""
 
 _LEAST_PART = 0.015
-"""A part of fewer vertices than this share is not folded alone."""
+"""A part with a smaller share of the vertices than this is not folded alone."""
 
 _ONE_PART = 0.6
-"""How often one part of several is folded back; otherwise any number of them."""
+"""Probability that one of several parts is folded back; otherwise any number of them is."""
 
 _CORE_EDGES = 1.2
-"""Least radius of a roll's inmost turn, over the length of an edge: a tighter one is a prism."""
+"""Smallest radius of a roll's innermost turn over the edge length; a smaller one is a prism."""
 
 _CORE_SAG = 0.125 / _CORE_EDGES
-"""How far a straight edge lies inside that turn, over its length: turns need so much more room."""
+"""Sag of a straight edge inside that turn, over its length; turns need this much extra space."""
 
 _STACKED = 0.65
-"""Vertices nearer than this lie one above the other, over the length of an edge: any layer has a
-vertex within 0.58 of it."""
+"""Horizontal distance, over the edge length, below which vertices are stacked; any layer has a
+vertex within 0.58."""
 
 _SAME_LAYER = 0.2
 """Vertices whose heights differ by less than this, over the thickness, are of one layer."""
 
 _STIFFNESS = 3
-"""Passes that smooth the heights of a pressed stack."""
+"""Number of passes that smooth the heights of a pressed stack."""
 
 _PRESSES = 40
-"""Most layers that a stack can have while it is pressed."""
+"""Maximum number of layers of a stack while it is pressed."""
 
 NESTED, NESTED_MOST = 0.15, 0.5
-"""How far each layer's crease is drawn into that of the layer around it, and most, over the length
-of an edge. Between the straight edges of a mesh a crease has no room for another one."""
+"""Shift of each layer's crease into that of the layer around it, and its maximum, over the edge
+length. Without it a crease has no space for another one between the straight edges of a mesh."""
 
 _LOFT_REACH = 2
-"""Edges from a crease over which its loft fades."""
+"""Number of edges from a crease over which its loft fades."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Line:
     """A line on the table over which cloth is folded.
 
     Attributes:
-        across: horizontal unit vector from the line to the cloth that is folded.
+        across: horizontal unit vector from the line towards the folded cloth.
         offset_m: distance of the line from the origin along `across` [m].
     """
 
@@ -66,11 +66,11 @@ class Line:
 
     @classmethod
     def at(cls, angle: float, offset_m: float) -> "Line":
-        """Return the line whose cloth beyond lies in a direction [rad]."""
+        """Return the line whose cloth beyond is in a direction [rad]."""
         return cls(np.array([np.cos(angle), np.sin(angle), 0.0]), offset_m)
 
     def beyond(self, points: Points) -> Float[np.ndarray, " vertices"]:
-        """Return how far points lie beyond the line [m]; below 0 before it."""
+        """Return the distance of points beyond the line [m]; negative before it."""
         return points @ self.across - self.offset_m
 
 
@@ -79,8 +79,8 @@ class Creases:
     """Vertices in creases, and their neighbors on both sides of the crease.
 
     Attributes:
-        creased: which vertices lie in a crease.
-        vertex: a vertex in a crease, one entry for each of its neighbors out of it.
+        creased: whether each vertex lies in a crease.
+        vertex: vertex in a crease, one entry for each of its neighbors outside the crease.
         neighbor: that neighbor.
         folded: whether the neighbor lies on the side that was folded over.
     """
@@ -102,7 +102,7 @@ class Creases:
         vertices: Int[np.ndarray, " creased"],
         folded: Bool[np.ndarray, " vertices"],
     ) -> "Creases":
-        """Return these creases and a new one; a vertex of both is of the new one."""
+        """Return these creases and a new one; a vertex of both belongs to the new one."""
         new = np.zeros(mesh.vertex_count, bool)
         new[vertices] = True
         ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
@@ -116,7 +116,7 @@ class Creases:
         )
 
     def halfway(self, height: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " vertices"]:
-        """Return heights [m] with every crease halfway between what it joins."""
+        """Return heights [m] with every crease halfway between its two sides."""
         count = len(height)
         total, sides = np.zeros(count), np.zeros(count)
         for side in (self.folded, ~self.folded):
@@ -129,14 +129,14 @@ class Creases:
 
 
 class Layers:
-    """The layers of one garment, of which the creases are remembered.
+    """Layers of one garment, with the creases of its folds.
 
     Attributes:
         mesh: the flat garment.
         edge_m: mean length of its edges [m].
         thickness_m: distance that layers keep [m]; the lowest lies half of it above the table.
-        loft_m: how much farther they are apart at creases [m].
-        creases: of all folds since the cloth lay flat.
+        loft_m: additional distance of layers at creases [m].
+        creases: creases of all folds since the cloth lay flat.
     """
 
     def __init__(self, mesh: ClothMesh, thickness_m: float) -> None:
@@ -155,15 +155,15 @@ class Layers:
         self.creases = Creases.none(self.mesh.vertex_count)
 
     def most(self, points: Points) -> float:
-        """Return how many layers lie on each other where there are many of them."""
+        """Return the number of layers at the 95th percentile of the stack height."""
         heights = self._heights(points, self.thickness_m)
         return float(np.percentile(heights, 95)) / self.thickness_m + 0.5
 
     def pressed(self, points: Points) -> Points:
-        """Let every layer down onto what it lies on, as a hand does that presses a stack.
+        """Lower every layer onto the one below, like a hand that presses a stack.
 
-        Nothing moves sideways, and of two layers the same lies above the other. Cloth is a little
-        stiff: it leads from step to step over the length of an edge or two.
+        Vertices move vertically only, and layers keep their order. Cloth is a little stiff, so a
+        step in height extends over the length of an edge or two.
         """
         near = self.creases.creased.astype(np.float64)
         for _ in range(_LOFT_REACH):
@@ -175,7 +175,7 @@ class Layers:
     def _heights(
         self, points: Points, gap_m: float | Float[np.ndarray, " vertices"]
     ) -> Float[np.ndarray, " vertices"]:
-        """Return heights [m] at which each vertex is a gap [m] above what it lies on."""
+        """Return heights [m] at which each vertex is a gap [m] above the layer below."""
         lower, upper = self._stacked(points)
         floor = 0.5 * self.thickness_m
         gap = np.broadcast_to(gap_m, len(points))[upper]
@@ -194,7 +194,7 @@ class Layers:
     def _stacked(
         self, points: Points
     ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-        """Return vertices one above the other: the lower and the upper of each pair."""
+        """Return the lower and the upper vertex of each stacked pair."""
         pairs = cKDTree(points[:, :2]).query_pairs(_STACKED * self.edge_m, output_type="ndarray")
         apart = points[pairs[:, 1], 2] - points[pairs[:, 0], 2]
         same = np.isin(pairs.min(axis=1) * len(points) + pairs.max(axis=1), self._joined)
@@ -207,10 +207,11 @@ class Layers:
     def wrapped(
         self, points: Points, line: Line, part: Bool[np.ndarray, " vertices"] | None = None
     ) -> Points:
-        """Lay a part beyond a line, or all that is there, around the line and onto the rest.
+        """Wrap a part beyond a line, or everything there, around the line and onto the rest.
 
-        Of each edge over the line the nearer end is drawn into the crease: of a mesh that knows
-        nothing of the line the crease would be ragged, and layers would stick out of one another.
+        The end of each crossing edge that is nearer to the line moves into the crease. Otherwise
+        the crease would be ragged, because the mesh is not aligned with the line, and layers would
+        stick out of one another.
         """
         points = self.pressed(points)
         beyond = line.beyond(points)
@@ -237,18 +238,18 @@ class Layers:
     def _across(
         self, beyond: Float[np.ndarray, " vertices"], free: Bool[np.ndarray, " vertices"]
     ) -> Int[np.ndarray, " creased"]:
-        """Return the nearer ends of the edges that lead from a part over the line."""
+        """Return the nearer ends of the edges of a part that cross the line."""
         ends = self.mesh.edges
         ends = ends[(beyond[ends].prod(axis=1) < 0.0) & free[ends].any(axis=1)]
         nearer = np.abs(beyond[ends]).argmin(axis=1)
         return np.unique(ends[np.arange(len(ends)), nearer])
 
     def rolled(self, points: Points, line: Line, looseness: float) -> Points:
-        """Roll up what lies beyond a line, towards the line; the rim becomes the roll's core.
+        """Roll up the cloth beyond a line, towards the line; the rim becomes the roll's core.
 
         Args:
             points: the vertices [m].
-            line: where the roll begins.
+            line: line where the roll begins.
             looseness: distance of two turns over the height of the stack.
         """
         points = self.pressed(points)
@@ -277,12 +278,12 @@ class Layers:
     def free_part(
         self, points: Points, line: Line, rng: np.random.Generator
     ) -> Bool[np.ndarray, " vertices"] | None:
-        """Return parts beyond a line that nothing else lies on; None: there are none, or all are.
+        """Return parts beyond a line with nothing on top; None if there are none, or all are.
 
         Args:
             points: the vertices [m].
-            line: where the cloth is to be folded.
-            rng: of the choice among several parts.
+            line: line to fold over.
+            rng: source of the choice among several parts.
         """
         labels, count = self.parts(line.beyond(points))
         if count < 2:
@@ -302,9 +303,9 @@ class Layers:
     def parts(
         self, beyond: Float[np.ndarray, " vertices"]
     ) -> tuple[Int[np.ndarray, " vertices"], int]:
-        """Return which part beyond a line each vertex belongs to, and how many parts there are.
+        """Return the index of each vertex's part beyond a line, and the number of parts.
 
-        -1: none; nor does a part that hardly reaches beyond the line count.
+        The index is -1 for none. A part that hardly reaches beyond the line is not counted.
         """
         inside = beyond > 0.0
         edges = self.mesh.edges[inside[self.mesh.edges].all(axis=1)]
@@ -321,7 +322,7 @@ class Layers:
     def _above(
         self, points: Points, labels: Int[np.ndarray, " vertices"], count: int
     ) -> Bool[np.ndarray, "parts parts"]:
-        """Return whether the first part lies on the second somewhere."""
+        """Return whether the first part lies on top of the second anywhere."""
         own = np.flatnonzero(labels >= 0)
         pairs = cKDTree(points[own, :2]).query_pairs(self.edge_m, output_type="ndarray")
         pairs = own[np.concatenate([pairs, pairs[:, ::-1]])]
@@ -335,7 +336,7 @@ class Layers:
 
 
 def axes_of(points: Points) -> tuple[float, Float[np.ndarray, " 2"]]:
-    """Return how the smallest rectangle around the silhouette lies, and its sides.
+    """Return the orientation and sides of the smallest rectangle around the silhouette.
 
     Returns:
         The direction of a side [rad]; lengths [m] of the side in that direction and of the other.

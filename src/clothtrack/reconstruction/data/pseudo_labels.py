@@ -1,7 +1,7 @@
-"""Pseudo-labels: what the tracker found in a recording, as examples to learn from (Sec. III-C).
+"""Pseudo-labels: tracking results of a recording as training examples (Sec. III-C).
 
-Tracked vertices keep the canonical coordinates of the first mesh; each measured pixel is projected
-to the part of the tracked mesh that the camera sees, and has no label where the mesh is too far.
+Tracked vertices keep the canonical coordinates of the first mesh. Each measured pixel is projected
+to the part of the tracked mesh that the camera sees, and has no label if the mesh is too far.
 """
 
 import json
@@ -34,7 +34,7 @@ FORMAT = "clothtrack-pseudo-labels"
 FORMAT_VERSION = 1
 
 FARTHEST_M = 100.0
-"""Labels hold no larger depth or coordinate [m]: such numbers are no meters."""
+"""Largest valid depth or coordinate in labels [m]; larger numbers are not in meters."""
 
 _ARRAYS = ("document", "rest_positions", "faces", "canonical")
 _OF_PICTURES = ("depth_m", "faces", "positions")
@@ -45,7 +45,7 @@ class PseudoLabel:
     """One frame of a recording, labeled by the tracker.
 
     Attributes:
-        frame: of the recording.
+        frame: index of the frame in the recording.
         positions: tracked vertices in the world [m].
     """
 
@@ -55,15 +55,15 @@ class PseudoLabel:
 
 @dataclass(frozen=True, eq=False)
 class LabeledRecording:
-    """The labeled pictures of one recording; the unit that is kept together in a split.
+    """Labeled pictures of one recording, the unit that a split keeps together.
 
     Attributes:
-        name: of the recording.
+        name: name of the recording.
         kind: "towel", "tshirt" or "trousers".
-        mesh: the first mesh: flat, with canonical coordinates [m].
-        frames: which frames of the recording.
-        pictures: of these, in the same order.
-        provenance: where the labels come from.
+        mesh: the first mesh, flat, with canonical coordinates [m].
+        frames: indices of the frames in the recording.
+        pictures: pictures of these frames, in the same order.
+        provenance: origin of the labels.
     """
 
     name: str
@@ -84,16 +84,16 @@ def label_recording(
     segmenter: Segmenter | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> LabeledRecording:
-    """Pictures and projected labels of a tracked recording.
+    """Return pictures and projected labels of a tracked recording.
 
     Args:
-        recording: what was tracked.
+        recording: the tracked recording.
         mesh: the first mesh, with canonical coordinates.
         labels: tracked meshes.
         kind: "towel", "tshirt" or "trousers".
-        cut_m: pixels further than this [m] from the tracked mesh have no label.
-        segmenter: finds the cloth; the recording's own way by default.
-        provenance: stored with them.
+        cut_m: pixels farther than this [m] from the tracked mesh have no label.
+        segmenter: segmenter of the cloth; the recording's own by default.
+        provenance: origin of the labels, stored with them.
 
     Raises:
         InvalidRecordingError: a frame has no depth picture.
@@ -119,14 +119,14 @@ def label_recording(
 def cloth_picture(
     recording: Recording, frame: Frame, segmenter: Segmenter | None = None
 ) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"], Camera]:
-    """Depth [m], mask of the cloth and camera of a frame, by its first camera that has depth.
+    """Return depth [m], cloth mask and camera of a frame, from its first camera with depth.
 
-    Of a frame that has only a cloud, as a camera straight above would have seen it.
+    A frame that has only a cloud is rendered from a camera straight above.
 
     Args:
         recording: the recording.
         frame: one of its frames.
-        segmenter: finds the cloth; the recording's own way by default.
+        segmenter: segmenter of the cloth; the recording's own by default.
 
     Raises:
         InvalidRecordingError: it has neither a depth picture nor a cloud.
@@ -155,14 +155,15 @@ def projected_faces(
     *,
     cut_m: float,
 ) -> Int[np.ndarray, "height width"]:
-    """The face that each measured pixel of cloth shows; -1 where none is near.
+    """Return the face that each measured pixel of cloth shows; -1 if none is near.
 
-    Only faces that the camera sees are asked: under a folded cloth the other layer is as near.
+    Only faces that the camera sees are candidates, because in a folded cloth the layer below is
+    just as near.
 
     Args:
         depth: measured depth [m].
-        mask: where the cloth was measured.
-        camera: that took it.
+        mask: pixels where cloth was measured.
+        camera: camera that took the picture.
         positions: vertices in the world [m].
         faces: vertex indices per triangle.
         cut_m: largest distance of pixel and face [m].
@@ -183,10 +184,10 @@ def projected_faces(
 
 
 def write_labels(labeled: LabeledRecording, path: Path) -> None:
-    """Write one compressed NumPy archive, whole or not at all.
+    """Write one compressed NumPy archive atomically.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the file cannot be written.
     """
     document = {
         "format": FORMAT,
@@ -214,7 +215,7 @@ def read_labels(path: Path) -> LabeledRecording:
     """Read what `write_labels` has written; nothing in it is executed.
 
     Raises:
-        InvalidResultError: it is missing, truncated, of another version or something else.
+        InvalidResultError: it is missing, truncated, of another version or not a label file.
     """
     if not path.is_file():
         raise InvalidResultError(
@@ -252,7 +253,7 @@ def _labeled(arrays: Mapping[str, np.ndarray]) -> LabeledRecording:
         pictures.append(LabeledPicture(depth, depth > 0, _camera_of(camera), faces, positions))
     known = len(_ARRAYS) + len(_OF_PICTURES) * len(pictures)
     if len(arrays) != known:
-        # The digests would not be asked for if theirs had lost its name.
+        # Digests are not checked if the name of their array is damaged; the count detects that.
         raise ValueError(f"it has {len(arrays)} arrays, {len(pictures)} labels need {known}")
     return LabeledRecording(
         document["name"],

@@ -1,4 +1,4 @@
-"""How states of a garment come about: the recipes, how often each is used, and their lengths."""
+"""The recipes that make states of a garment, with their frequencies and lengths."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,37 +13,38 @@ Recipe = Literal[NeatFold, "flat", "drop", "lift", "held", "push", "pick_and_pla
 
 
 REFERENCE_SIZE_M = 0.4
-"""Longer side of a garment for which lengths of `CrumplingConfig` hold as they are [m]; those of a
-larger garment grow with it, and speeds with the root of it, as free fall does."""
+"""Longer side of a garment for which the lengths of `CrumplingConfig` hold unscaled [m]. Lengths
+scale with the garment, and speeds with the root of its size, as in free fall."""
 
 ACTION = ActionConfig(speed=0.6, clear_held=True)
-"""Pick-and-places on a garment of that size; reach and release height follow the garment."""
+"""Pick-and-place settings for a garment of that size; reach and release height depend on the
+garment."""
 
 
 @dataclass(frozen=True)
 class CrumplingConfig:
-    """How states of a garment come about. Pairs of numbers are bounds of an even draw.
+    """Settings of the recipes. Pairs of numbers are bounds of a uniform draw.
 
     Lengths and speeds are those for a garment of `REFERENCE_SIZE_M`.
 
     Attributes:
-        states: states per episode.
-        shares: how often an episode begins with each recipe.
-        after_fold: how often each recipe follows a neat fold (`NEAT`).
-        next_shares: how often each follows another; what was held in the air is let go first.
+        states: number of states per episode.
+        shares: relative frequency of each recipe at the start of an episode.
+        after_fold: relative frequency of each recipe after a neat fold (`NEAT`).
+        next_shares: relative frequency of each recipe after others; held cloth is let go first.
         turned_over: share of episodes that begin with the garment's other side up.
-        pressed: share of episodes whose neat folds are pressed flat and stay so; others the solver
-            lets go, which makes them soft.
-        wrinkled: share of flat and folded states that have fine wrinkles.
-        lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
+        pressed: share of episodes whose neat folds are pressed flat and stay so; in others the
+            solver lets the cloth relax, which makes folds soft.
+        wrinkled: share of flat and folded states with fine wrinkles.
+        lift_m: height that a vertex is lifted to while part of the cloth stays on the table [m].
         two_pickers: share of pick-and-places with a second gripper that moves alike.
-        folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
-            layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
-            a crumpled cloth; the others take mostly the outline, and carry it inwards.
+        folded, middle, pulled: shares of pick-and-places that grasp folded cloth with all its
+            layers, cloth near the middle, and the outline to carry it outwards, as in flattening a
+            crumpled cloth; the others grasp mostly the outline and carry it inwards.
         rest_limit_s: longest wait until a cloth is at rest [s].
-        strain_limit: a state whose edges changed length by more than this share, in the mean, has
-            exploded, as has one of which a vertex lies under the table.
-        folded_strain_limit: the same for pressed stacks, whose creases take up most of it.
+        strain_limit: mean relative change of edge length above which a state has exploded; it has
+            also exploded if a vertex lies under the table.
+        folded_strain_limit: the same for pressed stacks, whose strain is mostly in the creases.
     """
 
     states: int = 5
@@ -78,7 +79,7 @@ class CrumplingConfig:
 
 
 def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> Recipe:
-    """Draw a recipe, each as often as its share says."""
+    """Draw a recipe with probability proportional to its share."""
     names = [name for name in get_args(Recipe) if shares.get(name, 0.0) > 0.0]
     share = np.array([shares[name] for name in names])
     return names[int(rng.choice(len(names), p=share / share.sum()))]

@@ -1,4 +1,4 @@
-"""The cameras that simulated states are seen by, and how badly their sensors measure."""
+"""The cameras that render simulated states, and the noise of their sensors."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -15,33 +15,33 @@ SENSORS = {
         white_m=0.0015, wave_m=0.002, edge_dropout=0.1, edge_mixing=0.9, grazing_dropout=0.3
     ),
 }
-"""How badly each kind of sensor measures, on average: active stereo as the RealSense D400;
-structured light as Kinect v1 and Xtion, with steps of 3 mm at 1 m, wide shadows and no wave; time
-of flight as Kinect v2 and Azure, with fine steps and edges that mix both depths."""
+"""Average noise of each kind of sensor: active stereo like the RealSense D400; structured light
+like Kinect v1 and Xtion, with steps of 3 mm at 1 m, wide shadows and no wave; time of flight like
+Kinect v2 and Azure, with fine steps and edges that mix both depths."""
 
 LEAST_DISTANCE_M, USUAL_DISTANCE_M = 0.45, 1.6
-"""No camera is nearer than the one, nor farther than the other unless the cloth is too large for
-it [m]."""
+"""Least distance of a camera, and largest distance unless the cloth is too large for it [m]."""
 
 MOST_TILT_DEG = 35.0
-"""A camera that looks from aside is this far from the vertical at most [deg]."""
+"""Largest angle between a tilted camera's axis and the vertical [deg]."""
 
 
 @dataclass(frozen=True)
 class RenderConfig:
-    """The cameras that a simulated state is seen by. Pairs of numbers are bounds of an even draw.
+    """Cameras that render a simulated state. Pairs of numbers are bounds of a uniform draw.
 
     Attributes:
-        distance: from the camera to the middle of the cloth, over the cloth's extent.
+        distance: distance from the camera to the middle of the cloth, over the cloth's extent.
         focal: focal length [pixels].
-        offset: the optical axis passes the middle of the cloth by up to this, over its extent.
+        offset: largest offset of the optical axis from the middle of the cloth, along x and along
+            y, over the cloth's extent.
         tilt_deg: standard deviation of the optical axis from the vertical [deg].
-        tilted: share of cameras that look from aside, by any angle up to `MOST_TILT_DEG`.
-        sensors: how badly the kinds of `SENSORS` measure; they come equally often.
-        noise_range: the sensor's noise and drop-out are multiplied by a number between these.
+        tilted: share of cameras that are tilted by any angle up to `MOST_TILT_DEG`.
+        sensors: noise of the kinds of `SENSORS`, which are equally frequent.
+        noise_range: bounds of the factor on the sensor's noise and drop-out.
         mask_jitter: probability that the mask is some pixels too large, and that it is too small.
         tool: share of pictures in which a tool or a hand hides part of the cloth.
-        cut: share of pictures whose border cuts part of the cloth off.
+        cut: share of pictures whose border cuts off part of the cloth.
     """
 
     distance: tuple[float, float] = (1.2, 2.8)
@@ -56,7 +56,7 @@ class RenderConfig:
     cut: float = 0.08
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for the metadata of weights; each kind of sensor has its name."""
+        """Return plain values for the metadata of weights, with each sensor under its name."""
         values = asdict(self)
         sensors = values.pop("sensors")
         return as_plain({**values, **dict(zip(SENSORS, sensors, strict=True))})

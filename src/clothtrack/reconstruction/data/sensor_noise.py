@@ -1,4 +1,4 @@
-"""What a depth camera measures of perfect depth: noise, silhouettes, grazing surfaces, holes."""
+"""The noise model of a depth camera: noise, silhouettes, grazing surfaces, holes."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -17,9 +17,9 @@ Noise = Annotated[float, Bounds(least=0, most=1)]
 
 @dataclass(frozen=True)
 class SensorConfig(Checked):
-    """A depth camera above a table, and how badly it measures.
+    """A depth camera above a table, with its noise parameters.
 
-    The defaults are those of an active stereo camera of the RealSense D400 kind: noise grows with
+    The defaults are those of an active stereo camera like the RealSense D400: noise grows with
     the square of the depth, silhouettes are uncertain, grazing surfaces drop out.
 
     Attributes:
@@ -29,17 +29,17 @@ class SensorConfig(Checked):
         camera_height_m: height above the table [m].
         tilt_deg: standard deviation of the optical axis from the vertical [deg].
         white_m: standard deviation of independent noise [m] at 0.75 m.
-        wave_m: standard deviation of slowly varying error [m], the same all through a recording.
+        wave_m: standard deviation of slowly varying error [m], constant throughout a recording.
         step_m: quantization of depth [m]; also the unit of the depth files.
         disparity_step_m: further quantization of depth at 0.75 m [m], which grows with the square
-            of the depth, as of a camera that measures whole steps of disparity; 0: none.
+            of the depth, as in a camera that measures whole steps of disparity; 0: none.
         dropout: share of pixels without a measurement on a surface seen from the front.
         grazing_dropout: additional share on a surface seen edge-on.
         edge_step_m: jump of depth [m] between neighbors that counts as a silhouette.
         edge_dropout: share of silhouette pixels without a measurement.
         edge_mixing: share of the other silhouette pixels that mix both depths.
         patch_dropout: share of the picture without a measurement in connected patches that drift
-            from picture to picture, as where the pattern of an active camera is washed out.
+            from picture to picture, as if the pattern of an active camera were washed out.
         patch_pixels: usual width of such a patch [pixels].
     """
 
@@ -62,7 +62,7 @@ class SensorConfig(Checked):
 
     @classmethod
     def perfect(cls, **changes: Any) -> "SensorConfig":
-        """A camera that measures exactly, but for what `changes` says."""
+        """Return a camera that measures exactly, except for `changes`."""
         exact: dict[str, Any] = dict.fromkeys(
             ("white_m", "wave_m", "dropout", "grazing_dropout", "edge_dropout", "edge_mixing"), 0.0
         )
@@ -76,13 +76,13 @@ def depth_noise(
     config: SensorConfig,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "height width"]:
-    """What the camera measures [m] of a perfect depth picture; 0 = no measurement.
+    """Return the measured depth [m] for a perfect depth picture; 0 = no measurement.
 
     Args:
         depth: true depth [m], positive everywhere.
         facing: cosine between the surface's normal and the line of sight.
-        wave: the slowly varying error, in standard deviations.
-        config: how badly the camera measures.
+        wave: slowly varying error, in standard deviations.
+        config: noise parameters of the camera.
         rng: source of the noise.
     """
 

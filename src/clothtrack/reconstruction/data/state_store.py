@@ -1,12 +1,12 @@
 """Labeled states of a garment on disk: one Zarr group per garment, and the folder of them.
 
-    OUT/states.json            what was asked for, the seed, versions, and which shards are finished
+    OUT/states.json            settings, seed, versions, and the list of finished shards
     OUT/shards/0000.zarr       all states of one garment
     OUT/README.md              the dataset card
 
-A shard is written under a temporary name and renamed, so that one under its final name is whole.
-Every array carries the SHA-256 of its values, the shard that of all attributes: Zarr reads a chunk
-that is missing as zeros.
+A shard is written under a temporary name and renamed, so a shard under its final name is complete.
+Every array has the SHA-256 of its values and the shard that of all attributes, because Zarr reads a
+missing chunk as zeros.
 """
 
 import hashlib
@@ -46,7 +46,7 @@ _RECIPES = (
     "flat", "fold", "fold_half", "fold_corner", "fold_top", "fold_strips", "fold_sleeves", "roll",
     "turn_over", "drop", "lift", "held", "push", "pick_and_place", "release", "imported",
 )  # fmt: skip
-"""How a state can have come about; the last one is for states of other data sets."""
+"""Names of recipes of states; the last one is for states of other data sets."""
 
 MEASURES: Mapping[str, str] = {
     "speed": "m/s",
@@ -54,7 +54,7 @@ MEASURES: Mapping[str, str] = {
     "coverage": "1",
     "crossings": "1",
 }
-"""What may be known of each state, and its unit (`StateShard.measures`)."""
+"""Measures that may be stored per state, and their units (`StateShard.measures`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +62,16 @@ class StateShard:
     """States of one garment.
 
     Attributes:
-        kind: the garment, such as "towel" or "tshirt".
-        mesh: the flat rest shape with its canonical coordinates [m].
+        kind: kind of garment, such as "towel" or "tshirt".
+        mesh: flat rest shape with its canonical coordinates [m].
         positions: vertices of each state [m]; world frame, z up, the table at z = 0.
-        episodes: states with the same number came one after the other; a split into training and
-            validation must not part them.
-        recipes: how each state came about, one of `_RECIPES`.
-        seed: from which the shard was drawn.
-        measures: values per state by name: "speed", at which its fastest vertex still moved [m/s];
+        episodes: episode of each state; a split into training and validation must not separate
+            states of one episode.
+        recipes: recipe of each state, one of `_RECIPES`.
+        seed: seed of the shard.
+        measures: values per state by name: "speed", final speed of its fastest vertex [m/s];
             "strain", mean absolute relative change of edge length; "coverage", projected area over
-            that of the flat garment; "crossings", edges that pass through a triangle.
+            that of the flat garment; "crossings", number of edges that pass through a triangle.
     """
 
     kind: str
@@ -83,10 +83,11 @@ class StateShard:
     measures: Mapping[str, Float[np.ndarray, " states"]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not belong together.
+        """Reject inconsistent parts.
 
         Raises:
-            InvalidResultError: with the field, its value and what it must be.
+            InvalidResultError: a part is inconsistent; states the field, its value and what it must
+                be.
         """
         states, vertices = self.positions.shape[:2]
         found = {
@@ -123,10 +124,10 @@ class StateSet:
     """A folder of shards.
 
     Attributes:
-        folder: where it lies.
-        kind: the garment of all its shards.
-        shards: the finished shards, in their order.
-        document: `states.json`: configuration and provenance.
+        folder: path of the folder.
+        kind: kind of garment of all its shards.
+        shards: finished shards, in order.
+        document: content of `states.json`: configuration and provenance.
     """
 
     folder: Path
@@ -136,17 +137,17 @@ class StateSet:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the set is, wherever it lies: kind, shards and the SHA-256 of what is in them."""
+        """Identity of the set, independent of its path: kind, shards and SHA-256 of the content."""
         digests = "".join(map(shard_digest, self.shards))
         sha256 = hashlib.sha256(digests.encode()).hexdigest()
         return {"kind": self.kind, "shards": len(self.shards), "sha256": sha256}
 
 
 def write_shard(shard: StateShard, path: Path) -> None:
-    """Write a shard as a Zarr group, whole or not at all; one that is there is replaced.
+    """Write a shard as a Zarr group atomically; an existing one is replaced.
 
     Raises:
-        StorageError: when the disk refuses; nothing is left under `path` then.
+        StorageError: the shard cannot be written; nothing is left under `path` then.
     """
     with atomic_folder(path, replace=True) as temporary:
         _write(zarr.open_group(temporary, mode="w", zarr_format=3), shard)
@@ -156,7 +157,7 @@ def read_shard(path: Path) -> StateShard:
     """Read a shard that `write_shard` has written.
 
     Raises:
-        InvalidResultError: naming the file and the array that is missing, damaged or does not fit.
+        InvalidResultError: an array is missing, damaged or inconsistent; names file and array.
     """
     path = Path(path)
     if not (path / "zarr.json").is_file():
@@ -180,7 +181,7 @@ def read_shard(path: Path) -> StateShard:
 def shard_digest(path: Path) -> str:
     """Return the SHA-256 of a shard's states and mesh, in hexadecimal digits.
 
-    It is made of the digests that the arrays were written with; the arrays are not read.
+    It is computed from the digests stored with the arrays; the arrays are not read.
 
     Raises:
         InvalidResultError: the shard is damaged.
@@ -201,8 +202,7 @@ def open_states(folder: Path) -> StateSet:
     """Open a folder of states; the shards themselves are not read.
 
     Raises:
-        InvalidResultError: when there is no `states.json`, it is none of ours, or no shard is
-            finished.
+        InvalidResultError: there is no valid `states.json`, or no shard is finished.
     """
     folder = Path(folder)
     document = read_list(folder)
@@ -219,10 +219,10 @@ def open_states(folder: Path) -> StateSet:
 
 
 def read_list(folder: Path) -> dict[str, Any] | None:
-    """The content of `states.json`; None when there is none.
+    """Return the content of `states.json`; None if there is none.
 
     Raises:
-        InvalidResultError: when it is not the list of a folder of states of this version.
+        InvalidResultError: it is not the list of a folder of states of this version.
     """
     path = Path(folder) / LIST_FILE
     if not path.exists():
@@ -245,10 +245,10 @@ def read_list(folder: Path) -> dict[str, Any] | None:
 
 
 def write_list(folder: Path, document: Mapping[str, Any]) -> None:
-    """Write `states.json`, whole or not at all; format and version are added.
+    """Write `states.json` atomically; format and version are added.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the file cannot be written.
     """
     text = json.dumps({"format": FORMAT, "version": VERSION, **document}, indent=1)
     with atomic_file(Path(folder) / LIST_FILE) as unfinished:
@@ -258,17 +258,17 @@ def write_list(folder: Path, document: Mapping[str, Any]) -> None:
 def write_states(
     folder: Path, kind: str, shards: Sequence[StateShard], provenance: Mapping[str, Any]
 ) -> StateSet:
-    """Write shards that came from elsewhere as a folder of states.
+    """Write imported shards as a folder of states.
 
     Args:
-        folder: a folder without states.
-        kind: the garment of all of them.
-        shards: one per garment.
-        provenance: where they came from; goes into `states.json`.
+        folder: folder without states.
+        kind: kind of garment of all shards.
+        shards: shards, one per garment.
+        provenance: origin of the shards, stored in `states.json`.
 
     Raises:
-        InvalidResultError: when the folder has states already, or a shard is of another kind.
-        StorageError: when the disk refuses.
+        InvalidResultError: the folder has states already, or a shard is of another kind.
+        StorageError: a file cannot be written.
     """
     folder = Path(folder)
     if (folder / LIST_FILE).exists():
@@ -282,7 +282,7 @@ def write_states(
 
 
 def shard_path(folder: Path, number: int) -> Path:
-    """Where shard `number` of a folder lies."""
+    """Return the path of shard `number` of a folder."""
     return Path(folder) / SHARD_FOLDER / f"{number:04d}.zarr"
 
 
@@ -309,7 +309,7 @@ def _write(group: zarr.Group, shard: StateShard) -> None:
 
 @contextmanager
 def _to_be_made_again() -> Iterator[None]:
-    """Adds the next step to what is damaged."""
+    """Add the remedy to an error about a damaged shard."""
     try:
         yield
     except InvalidResultError as error:

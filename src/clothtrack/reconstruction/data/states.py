@@ -1,8 +1,8 @@
-"""Generates labeled states of garments: what a reconstruction network learns from.
+"""Generates labeled states of garments, the training data of a reconstruction network.
 
-`OUT/shards/0000.zarr` holds all states of one garment; garments differ in width and length, and in
-what they are made of. Shard k depends on the seed and on k alone. A finished shard is kept, so an
-interrupted run goes on where it stopped.
+`OUT/shards/0000.zarr` holds all states of one garment. Garments differ in width, length and
+material. Shard k depends only on the seed and on k. A finished shard is kept, so an interrupted run
+resumes where it stopped.
 """
 
 import logging
@@ -60,15 +60,15 @@ logger = logging.getLogger(__name__)
 _CARD_FILE = "README.md"
 
 PACKAGES = ("numpy", "scipy", "warp-lang", "zarr")
-"""What states depend on."""
+"""Packages that states depend on."""
 
 
 _OF_STATES = 0x57A7E
-"""Keeps the draws of this module apart from those of others with the same seed."""
+"""Seed component that separates this module's draws from those of others with the same seed."""
 
 
 _GARMENTS_TRIED = 4
-"""So many garments are drawn for a shard, one after the other, before its settings are blamed."""
+"""Number of garments that are tried for a shard before it fails."""
 
 
 _THICKEST_M = 0.008
@@ -86,28 +86,28 @@ FAST_CONTACT = SolverConfig(
     speed_limit=2.0,
     damping=4.0,
 )
-"""The solver for whole crumpled cloths; thickness and density are those of each cloth.
+"""Solver settings for whole crumpled cloths; thickness and density are set per cloth.
 
-Contact between edges costs five times as much on crumpled cloth. Searching thrice as often, a
-wider margin and a lower speed limit keep crossings to a few per 1,000 edges without it.
+Edge contact takes five times as long on crumpled cloth. Without it, searching for contacts three
+times as often, a wider margin and a lower speed limit keep crossings to a few per 1,000 edges.
 """
 
 
 @dataclass(frozen=True)
 class StatesConfig(Checked):
-    """What states are made, and how.
+    """Settings of the generated states.
 
     Attributes:
-        vertex_count: about how many vertices a garment has.
-        episodes: episodes per garment, and so per shard.
-        shift_m: a finished state lies this far from the origin at most, along x and along y [m].
-        crossings_limit: states in which more than this share of the edges passes through a
-            triangle are left out, and what would have followed from them.
+        vertex_count: approximate vertex count of a garment.
+        episodes: number of episodes per garment, and so per shard.
+        shift_m: largest distance of a finished state from the origin, along x and along y [m].
+        crossings_limit: share of edges that pass through a triangle, above which a state and the
+            rest of its episode are dropped.
         folded_crossings_limit: the same for neat folds, whose layers meet in creases that are
             narrower than an edge.
-        crumpling: the episodes.
-        garments: how large they are, and how they are cut.
-        cloth: what they are made of.
+        crumpling: settings of the episodes.
+        garments: sizes and cuts of garments.
+        cloth: materials of garments.
     """
 
     vertex_count: Count = 1000
@@ -120,10 +120,10 @@ class StatesConfig(Checked):
     cloth: ClothRanges = field(default_factory=ClothRanges)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be made.
+        """Reject invalid settings.
 
         Raises:
-            InvalidConfigError: with the field, its value and the limit.
+            InvalidConfigError: a field is out of bounds; states the field, its value and the limit.
         """
         super().__post_init__()
         crumpling = self.crumpling
@@ -142,7 +142,7 @@ class StatesConfig(Checked):
 
     @property
     def shard_states(self) -> int:
-        """States in a shard."""
+        """Number of states in a shard."""
         return self.episodes * self.crumpling.states
 
 
@@ -157,23 +157,23 @@ def generate_states(
     progress: Progress | None = None,
     ray: str = "",
 ) -> StateSet:
-    """Make at least so many states: as many whole shards as that takes.
+    """Make at least the given number of states, in whole shards.
 
     Args:
         out: folder for `shards/`, `states.json` and the dataset card.
-        kind: the garment.
-        states: how many are wanted.
-        seed: of everything.
-        config: what is made, and how.
-        processes: worker processes.
-        progress: called first, and after each shard, kept ones included.
-        ray: address of Ray, which is to do it; worker processes by default.
+        kind: kind of garment.
+        states: minimum number of states.
+        seed: seed of all randomness.
+        config: settings of the states.
+        processes: number of worker processes.
+        progress: function called first, and after each shard, including kept ones.
+        ray: address of Ray to run on; worker processes by default.
 
     Raises:
         InvalidConfigError: there are no workers or states, another run writes to `out`, or it
             holds states that were made with another seed, kind or settings.
-        SimulationDivergedError: of several garments in turn too few states are sound.
-        StorageError: the disk refuses.
+        SimulationDivergedError: several garments in turn have too few valid states.
+        StorageError: a file cannot be written.
     """
     require_workers(processes)
     if states < 1:
@@ -190,8 +190,8 @@ def generate_states(
         with closing(made) as tries:
             for number, entry in results_of(tries):
                 name = shard_path(out, number).name
-                # A kept shard is listed already, with the time that it took, unless a process was
-                # killed between the shard and the list.
+                # A kept shard is already listed with its CPU time, unless a process was killed
+                # between writing the shard and the list.
                 if entry["cpu_s"] is not None or name not in document["shards"]:
                     document["shards"] = dict(sorted({**document["shards"], name: entry}.items()))
                     write_list(out, document)
@@ -211,15 +211,15 @@ class _Making:
     config: StatesConfig
 
     def name(self, number: int) -> str:
-        """The shard's own name."""
+        """Return the name of the shard."""
         return shard_path(self.out, number).name
 
     def paths(self, number: int) -> list[Path]:
-        """The shard."""
+        """Return the path of the shard."""
         return [shard_path(self.out, number)]
 
     def kept(self, number: int) -> dict[str, Any] | None:
-        """The entry of a shard that is whole, without the CPU time."""
+        """Return the entry of an intact shard, without the CPU time."""
         path = shard_path(self.out, number)
         if not path.exists():
             return None
@@ -231,7 +231,7 @@ class _Making:
         return {"states": len(shard.positions), "cpu_s": None}
 
     def do(self, number: int) -> dict[str, Any]:
-        """Make the shard and write it; its entry in the list."""
+        """Make and write the shard, and return its entry in the list."""
         start = time.process_time()
         shard = make_shard(self.kind, number, self.seed, self.config)
         write_shard(shard, shard_path(self.out, number))
@@ -240,14 +240,14 @@ class _Making:
 
 
 def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) -> StateShard:
-    """Shard `number`: the states of one garment.
+    """Return shard `number`, the states of one garment.
 
-    An episode ends early when the cloth explodes or passes through itself too much; more
-    episodes are begun until the shard has all its states. A garment that does not come to so many
-    is given up for another one.
+    An episode ends early when the cloth explodes or has too many self-intersections. More episodes
+    are started until the shard has all its states. A garment that does not reach that number is
+    replaced by another one.
 
     Raises:
-        SimulationDivergedError: `_GARMENTS_TRIED` garments were given up.
+        SimulationDivergedError: `_GARMENTS_TRIED` garments failed.
     """
     rng = np.random.default_rng([_OF_STATES, seed, number, KINDS.index(kind)])
     for _ in range(_GARMENTS_TRIED - 1):
@@ -261,10 +261,10 @@ def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) ->
 def _shard(
     kind: ClothKind, seed: int, config: StatesConfig, rng: np.random.Generator
 ) -> StateShard:
-    """The states of the garment that is drawn next.
+    """Return the states of the garment that is drawn next.
 
     Raises:
-        SimulationDivergedError: too few states are sound.
+        SimulationDivergedError: too few states are valid.
     """
     mesh = draw_garment(kind, config.garments, config.vertex_count, rng)
     size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
@@ -302,7 +302,7 @@ def _shard(
 def _sound_states(
     crumpler: Crumpler, config: StatesConfig, rng: np.random.Generator
 ) -> Iterator[tuple[int, CrumpledState, int]]:
-    """As many states as a shard has, each with its episode and how many edges cross something."""
+    """Iterate over the states of a shard, with episode and number of crossing edges."""
     wanted, found = config.shard_states, 0
     limit = config.crossings_limit * len(crumpler.mesh.edges)
     folded_limit = config.folded_crossings_limit * len(crumpler.mesh.edges)
@@ -334,7 +334,7 @@ def _sound_states(
 def _near_origin(
     positions: Float32[np.ndarray, "vertices 3"], shift_m: float, rng: np.random.Generator
 ) -> Float32[np.ndarray, "vertices 3"]:
-    """The same state, turned about the vertical at random and moved to the origin [m]."""
+    """Return the state turned randomly about the vertical and moved near the origin [m]."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     moved = positions.astype(np.float64)
@@ -345,10 +345,11 @@ def _near_origin(
 
 
 def _document(out: Path, kind: ClothKind, seed: int, config: StatesConfig) -> dict[str, Any]:
-    """The list of a folder, as found or new.
+    """Return the list of a folder, read or new.
 
     Raises:
-        InvalidConfigError: when the folder holds states of another kind, seed or settings.
+        InvalidConfigError: the folder holds states of another kind, seed or settings, or shards
+            without a list.
     """
     asked = as_plain({"kind": kind, "seed": seed, "config": asdict(config)})
     found = read_list(out)

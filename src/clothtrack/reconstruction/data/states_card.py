@@ -1,4 +1,4 @@
-"""The card of a folder of states, written from what lies in its shards."""
+"""The dataset card of a folder of states, written from the content of its shards."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ _BAR = 40
 
 
 def dataset_card(states: StateSet) -> str:
-    """What is in a folder of states: counts, recipes, sizes, how sound the states are, the cost.
+    """Return the card of a folder of states: counts, recipes, sizes, quality and cost.
 
     Raises:
-        InvalidResultError: when a shard cannot be read.
+        InvalidResultError: a shard cannot be read.
     """
     shards = [read_shard(path) for path in states.shards]
     document = states.document

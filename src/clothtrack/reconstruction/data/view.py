@@ -1,8 +1,8 @@
-"""The network's picture: the cloth as a virtual camera straight above it would see it.
+"""The network's picture: the cloth seen by a virtual camera straight above it.
 
-The virtual camera always has the same lens and stands as high as the cloth is wide, so that the
-cloth fills the picture and the depth still says how large it is. Training and reconstruction take
-their pictures here, from one function each.
+The virtual camera always has the same lens, and its height grows with the width of the cloth, so
+that the cloth fills the picture and the depth still determines its size. Training and
+reconstruction take their pictures here, from one function each.
 """
 
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 
 JUMP_M = 0.02
-"""Neighboring pixels further apart than this [m] are not joined: one hides what is between."""
+"""Neighboring pixels farther apart than this [m] are not joined; the nearer one hides the gap."""
 
 LEAST_PIXELS = 16
 """A picture with fewer pixels of cloth [pixels] shows no cloth."""
 
 OUTLIERS = 0.5
-"""Share of the points beyond either end of the cloth's extent [%]: specks of noise."""
+"""Share of the points beyond either end of the cloth's extent [%], which are noise."""
 
 CLEAR = 1.5
-"""The virtual camera is this much higher than the cloth, at least."""
+"""Least height of the virtual camera over the cloth's lowest point, over the cloth's height."""
 
 
 @runtime_checkable
 class ViewConfig(Protocol):
-    """What a network wants of its picture."""
+    """Picture settings of a network."""
 
     @property
     def image_size(self) -> int:
@@ -48,7 +48,7 @@ class ViewConfig(Protocol):
 
     @property
     def field_of_view_deg(self) -> float:
-        """Of the virtual camera [deg]."""
+        """Field of view of the virtual camera [deg]."""
         ...
 
     @property
@@ -58,7 +58,7 @@ class ViewConfig(Protocol):
 
     @property
     def least_view_m(self) -> float:
-        """The picture shows at least this much [m]."""
+        """Minimum extent that the picture shows [m]."""
         ...
 
 
@@ -67,9 +67,9 @@ class CroppedView:
     """The network's picture of a cloth.
 
     Attributes:
-        depth: distance along the optical axis of the virtual camera [m]; 0 where no cloth is.
-        camera: the virtual camera; its pixels are those of `depth`.
-        mask: where cloth was measured.
+        depth: distance along the virtual camera's optical axis [m]; 0 where there is no cloth.
+        camera: virtual camera; its pixels are those of `depth`.
+        mask: pixels where cloth was measured.
     """
 
     depth: Float32[np.ndarray, "height width"]
@@ -79,11 +79,11 @@ class CroppedView:
 
 @dataclass(frozen=True, eq=False)
 class ClothPixels:
-    """Pixels of the canonical picture that show cloth, and where each was measured.
+    """Pixels of the canonical picture that show cloth, and the measurement of each.
 
     Attributes:
         pixels: row and column in the canonical picture.
-        sources: row and column, in the depth picture, of the measurement that stands for it.
+        sources: row and column, in the depth picture, of the measurement that represents it.
     """
 
     pixels: Int[np.ndarray, "pixels 2"]
@@ -91,7 +91,7 @@ class ClothPixels:
 
 
 def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Camera:
-    """The virtual camera above a cloth: looks straight down, image right along world x.
+    """Return the virtual camera above a cloth, looking straight down, image right along world x.
 
     Args:
         points: points of the cloth [m], world, z up.
@@ -103,8 +103,8 @@ def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Ca
                config.least_view_m)  # fmt: skip
     half_angle = np.radians(config.field_of_view_deg) / 2.0
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
-    # The plane of the lowest points is the table, or nearly so, and fills the picture exactly.
-    # Cloth that is lifted stays in the picture, and below the camera.
+    # The plane of the lowest points is approximately the table and fills the picture exactly.
+    # Raise the camera so that lifted cloth stays in the picture and below the camera.
     out, up = np.abs(points[:, :2] - middle[:2]).max(axis=1), points[:, 2] - low[2]
     in_view_m = np.percentile(out / np.tan(half_angle) + up, 100.0 - OUTLIERS)
     above_m = max(
@@ -123,22 +123,23 @@ def crop(
     camera: Camera,
     config: ViewConfig,
 ) -> CroppedView:
-    """The network's picture, from a depth picture of any camera.
+    """Return the network's picture from a depth picture of any camera.
 
-    Neighboring pixels are joined to a surface, which the virtual camera then sees: no holes, and
-    what the real camera did not see stays empty.
+    Neighboring pixels are joined to a surface that the virtual camera renders. The surface has no
+    holes, and areas that the real camera did not see stay empty.
 
     Args:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: where the cloth is; everywhere that has a depth when None.
-        camera: the camera that took it.
-        config: the network.
+        mask: pixels of the cloth; all pixels with a depth when None.
+        camera: camera that took the picture.
+        config: picture settings of the network.
 
     Raises:
-        InvalidRecordingError: when picture, mask and camera differ in size, the depth is not in
-            meters, or there is no cloth in it.
+        InvalidRecordingError: picture, mask and camera differ in size, the depth is not in meters,
+            or there is no cloth in it.
     """
-    # Batches are cropped without Warp (`batch_view.py`), where it may not be installed.
+    # Imported here, because batches are cropped without Warp (`batch_view.py`), which may not be
+    # installed there.
     from clothtrack.geometry.visibility import Rasterizer
 
     shown = _cloth_shown(depth_m, mask, camera)
@@ -156,14 +157,14 @@ def crop(
 
 
 def cloth_pixels(depth: Float[np.ndarray, "height width"], config: ViewConfig) -> ClothPixels:
-    """The pixels of the canonical picture that show cloth, in the order of their rows.
+    """Return the pixels of the canonical picture that show cloth, in the order of their rows.
 
-    An output pixel stands for a block of the depth picture; the measurement nearest to the camera
-    is taken, never a mean, which would lie between two layers.
+    An output pixel represents a block of the depth picture. It uses the measurement nearest to the
+    camera and not the mean, which could lie between two layers.
 
     Args:
-        depth: the network's picture [m]; 0 where no cloth is.
-        config: the network.
+        depth: the network's picture [m]; 0 where there is no cloth.
+        config: picture settings of the network.
     """
     stride, size = config.output_stride, config.output_size
     blocks = depth.reshape(size, stride, size, stride).transpose(0, 2, 1, 3)
@@ -177,7 +178,7 @@ def cloth_pixels(depth: Float[np.ndarray, "height width"], config: ViewConfig) -
 def points_of(
     depth: Float[np.ndarray, "height width"], camera: Camera, sources: Int[np.ndarray, "pixels 2"]
 ) -> Float[np.ndarray, "pixels 3"]:
-    """World positions [m] of measured pixels (row, column) of the network's picture."""
+    """Return world positions [m] of measured pixels (row, column) of the network's picture."""
     rows, columns = sources.T
     along = depth[rows, columns].astype(np.float64)
     local = np.stack(
@@ -196,7 +197,7 @@ def _cloth_shown(
     mask: Bool[np.ndarray, "height width"] | None,
     camera: Camera,
 ) -> Bool[np.ndarray, "height width"]:
-    """Where cloth was measured, or the error that says why nothing can be."""
+    """Return pixels where cloth was measured, or raise an error that explains why there is none."""
     where = f"camera {camera.name!r}"
     for name, picture in (("depth", depth_m), ("mask", mask)):
         if picture is not None and picture.shape != (camera.height, camera.width):
@@ -224,7 +225,7 @@ def _cloth_shown(
 def _joined(
     depth_m: Float[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
 ) -> Int[np.ndarray, "faces 3"]:
-    """Triangles between neighboring pixels, over the shown pixels in the order of their rows."""
+    """Return triangles between neighboring pixels, as indices of the shown pixels in row order."""
     index = np.cumsum(shown.ravel()).reshape(shown.shape) - 1
     a, b = (slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None))
     c, d = (slice(1, None), slice(None, -1)), (slice(1, None), slice(1, None))

@@ -1,31 +1,32 @@
-"""Lays fine wrinkles into a cloth that lies flat or folded, as washed cotton has them.
+"""Adds fine wrinkles, like those of washed cotton, to a flat or folded cloth.
 
-A wrinkle is a ridge of a few millimeters that runs some way and fades. The whole stack rises with
-it, so that layers keep their order, and cloth is drawn in from both sides by as much as the ridge
-takes up, so that edges keep their lengths.
+A wrinkle is a ridge of a few millimeters that runs for some distance and fades. The whole stack
+rises with it, so that layers keep their order. Cloth is drawn in from both sides by the length that
+the ridge takes up, so that edges keep their lengths.
 """
 
 import numpy as np
 from jaxtyping import Float
 
 _WIDTH_EDGES = (1.3, 5.0)
-"""Half width of a ridge over the length of an edge; the logarithm is drawn evenly. A narrower one
-falls between the vertices."""
+"""Bounds of half the width of a ridge over the edge length, log-uniform. A narrower ridge would
+fall between the vertices."""
 
 HEIGHT_M = (0.0008, 0.007)
-"""Height of a ridge [m]; the logarithm is drawn evenly."""
+"""Bounds of the height of a ridge [m], log-uniform."""
 
 STEEPEST = 0.22
-"""Largest height over half width: edges on its flanks would not keep their lengths."""
+"""Largest height over half width; on steeper flanks edges would not keep their lengths."""
 
 LENGTH = (0.06, 0.4)
-"""How far a ridge runs, over the extent of the cloth."""
+"""Bounds of the length of a ridge, over the extent of the cloth."""
 
 _MOST = 16
 
 _STACK_HEIGHT = 4.0
-"""Largest height over the thickness where layers lie on each other. Between vertices a ridge is
-straight, and the layers' vertices are not above each other: more would push one through another."""
+"""Largest height over the thickness for stacked layers. A ridge is straight between vertices, and
+the layers' vertices are not above each other, so a higher ridge would push one layer through
+another."""
 
 
 def wrinkled(
@@ -35,13 +36,13 @@ def wrinkled(
     stacked_m: float | None,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Lay a few ridges into a cloth.
+    """Add random ridges to a cloth.
 
     Args:
         points: vertices [m], the table at z = 0.
         edge_m: length of an edge of the mesh [m].
-        stacked_m: thickness of layers that lie on each other [m]; None where there is one layer.
-        rng: of their number, places and shapes.
+        stacked_m: thickness of stacked layers [m]; None for a single layer.
+        rng: source of their number, positions and shapes.
     """
     extent_m = float(np.ptp(points[:, :2], axis=0).max())
     main = rng.uniform(0.0, np.pi)
@@ -50,7 +51,7 @@ def wrinkled(
         height_m = min(float(np.exp(rng.uniform(*np.log(HEIGHT_M)))), STEEPEST * width_m)
         if stacked_m is not None:
             height_m = min(height_m, _STACK_HEIGHT * stacked_m)
-        # Wrinkles of one cloth run alike, more or less.
+        # Wrinkles of one cloth have roughly the same direction.
         angle = main + 0.5 * rng.standard_normal()
         across = np.array([np.cos(angle), np.sin(angle)])
         along = np.array([-across[1], across[0]])

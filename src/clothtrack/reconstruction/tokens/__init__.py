@@ -1,1 +1,1 @@
-"""The network that is told its garment: tokens of the rest mesh attend to the picture."""
+"""The token network, which is given its garment: tokens of the rest mesh attend to the picture."""

@@ -1,8 +1,8 @@
-"""A garment as the token network is told it: points of its own rest mesh.
+"""The garment input of the token network: points of the garment's own rest mesh.
 
-Every token is a material point. Vertices and pixels are shares of the tokens around them, so that
-one set of tokens says what a pixel shows and where a vertex is. Neighbors are neighbors through
-the cloth, never across the gap between a sleeve and the body.
+Every token is a material point. Vertices and pixels are interpolated from the tokens around them,
+so one set of tokens gives the correspondence of a pixel and the position of a vertex. Neighbors are
+neighbors through the cloth, never across the gap between a sleeve and the body.
 """
 
 from dataclasses import dataclass, replace
@@ -21,16 +21,16 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.tokens.token_symmetries import Layered, labelings, mirrored
 
 TOKENS = 256
-"""Tokens per garment: 16 x 16 of a rectangle, 128 on each layer of what is sewn."""
+"""Tokens per garment: 16 x 16 on a rectangle, 128 on each layer of a sewn garment."""
 
 SHARES = 4
-"""Tokens that a material point of one layer is a share of."""
+"""Number of tokens that a material point of one layer is interpolated from."""
 
 NEIGHBORS = 8
-"""Tokens around a token over which the place of a pixel is averaged."""
+"""Number of tokens around a token over which the position of a pixel is averaged."""
 
 FEATURES = 7
-"""Numbers that a token is told by: `GarmentTokens.features`."""
+"""Number of features of a token (`GarmentTokens.features`)."""
 
 _RECTANGLE_FILL = 0.97
 _PANEL = 1e-6
@@ -47,13 +47,13 @@ class GarmentTokens:
         canonical: canonical positions of the tokens [m].
         features: x and y over the size, side (-1, 0, 1), distance to the rim and to a seam over the
             size, and x and y over width and length.
-        face, blend: where on the mesh each token lies.
-        vertex_tokens, vertex_shares: tokens around each vertex, and its shares of them.
-        labelings: each token's name under each look-alike labeling; the first changes nothing.
-        is_labeling: which of the rows are labelings; the others fill up.
-        mirror: each token's name in the mirror image of the garment.
-        neighbors: the nearest tokens of each through the cloth, itself first.
-        layers: 1 or 2.
+        face, blend: face and barycentric coordinates of each token on the mesh.
+        vertex_tokens, vertex_shares: tokens around each vertex, and their interpolation weights.
+        labelings: token that each token becomes under each symmetry; the first is the identity.
+        is_labeling: which rows are symmetries; the others are padding.
+        mirror: token that each token becomes in the mirror image of the garment.
+        neighbors: nearest tokens of each through the cloth, itself first.
+        layers: number of layers, 1 or 2.
     """
 
     size_m: float
@@ -71,7 +71,7 @@ class GarmentTokens:
 
     @classmethod
     def of(cls, mesh: ClothMesh) -> "GarmentTokens":
-        """The tokens of a flat garment of one layer, or of two that are sewn together.
+        """Return the tokens of a flat garment of one layer, or of two that are sewn together.
 
         Args:
             mesh: at rest, canonical coordinates filled: flat x and y [m], and a height that is
@@ -100,12 +100,12 @@ class GarmentTokens:
         )
 
     def stretched(self, mesh: ClothMesh) -> "GarmentTokens":
-        """The same tokens in the same garment that is stretched along x and y, both a little.
+        """Return the same tokens in the same garment, moderately stretched along x and y.
 
-        Each vertex keeps its shares of the tokens, and each token its neighbors.
+        Each vertex keeps its weights of the tokens, and each token its neighbors.
 
         Args:
-            mesh: the garment as `of` takes it, with the same triangles.
+            mesh: the garment in the form that `of` takes, with the same triangles.
 
         Raises:
             InvalidConfigError: the mesh has no canonical coordinates.
@@ -120,31 +120,31 @@ class GarmentTokens:
     def places(
         self, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
     ) -> Float[np.ndarray, "tokens 3"]:
-        """Where the tokens are [m] when the vertices are there."""
+        """Return the token positions [m] for these vertex positions."""
         return interpolate(self.blend, positions[faces[self.face]])
 
     def scaled(self, factor: float) -> "GarmentTokens":
-        """The tokens of the same garment, larger by a factor (`ClothMesh.scaled`)."""
+        """Return the tokens of the same garment, larger by a factor (`ClothMesh.scaled`)."""
         return replace(self, size_m=self.size_m * factor, canonical=self.canonical * factor)
 
     def at_vertices(
         self, values: Float[np.ndarray, "tokens ..."]
     ) -> Float[np.ndarray, "vertices ..."]:
-        """Values of the tokens at the vertices."""
+        """Return values of the tokens, interpolated at the vertices."""
         shares = self.vertex_shares.reshape(*self.vertex_shares.shape, *[1] * (values.ndim - 1))
         return (values[self.vertex_tokens] * shares).sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """A garment that lies flat, around the origin.
+    """A flat garment, centered at the origin.
 
     Attributes:
-        canonical: of the vertices [m].
+        canonical: canonical positions of the vertices [m].
         flat: x and y of the vertices [m].
         faces: vertex indices per triangle.
-        side: of the vertices.
-        extent: along x and y [m].
+        side: side of each vertex (-1, 0, 1).
+        extent: extent along x and y [m].
     """
 
     canonical: Float[np.ndarray, "vertices 3"]
@@ -155,7 +155,7 @@ class _Shape:
 
     @classmethod
     def of(cls, mesh: ClothMesh) -> "_Shape":
-        """The shape of a flat mesh.
+        """Return the shape of a flat mesh.
 
         Raises:
             InvalidConfigError: the mesh has no canonical coordinates.
@@ -173,19 +173,19 @@ class _Shape:
 
     @property
     def layers(self) -> int:
-        """1 or 2."""
+        """Number of layers, 1 or 2."""
         return 2 if (self.side != 0).any() else 1
 
     @property
     def layered(self) -> Layered:
-        """Its layers, flat."""
+        """Its flat layers."""
         of_face = np.sign(self.side[self.faces].sum(axis=1))
         return Layered(self.flat, self.faces, self.side, of_face)
 
     def told(
         self, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
     ) -> dict[str, Any]:
-        """What depends on the tokens' flat places [m] and sides alone, by its name."""
+        """Return the fields that depend only on the tokens' flat positions [m] and sides."""
         size_m = float(self.extent.max())
         layered = self.layered
         names, is_labeling = labelings(layered, places, sides)
@@ -210,7 +210,7 @@ class _Shape:
 
 
 def _sides(canonical: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
-    """+1 on the front, -1 on the back, 0 on a seam; all 0 for one layer."""
+    """Return +1 on the front, -1 on the back, 0 on a seam; all 0 for one layer."""
     height = canonical[:, 2]
     if np.ptp(height) < 1e-9:
         return np.zeros(len(canonical))
@@ -222,7 +222,7 @@ def _of_one_layer(
     faces: Int[np.ndarray, "faces 3"],
     extent: Float[np.ndarray, " 2"],
 ) -> Float[np.ndarray, "tokens 2"]:
-    """A grid over a rectangle, rim included; else points that are far from one another."""
+    """Return a grid over a rectangle, rim included; for other outlines, farthest points."""
     a, b, c = np.moveaxis(flat[faces], 1, 0)
     u, v = b - a, c - a
     area = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()
@@ -235,10 +235,10 @@ def _of_one_layer(
 def _of_two_layers(
     flat: Float[np.ndarray, "vertices 2"], side: Float[np.ndarray, " vertices"]
 ) -> tuple[Float[np.ndarray, "tokens 2"], Float[np.ndarray, " tokens"]]:
-    """Points of the front and their mirror images, and the same of the back."""
+    """Return points of the front and their mirror images, and the same points on the back."""
     half = flat[(side >= 0) & (flat[:, 0] >= 0.0)]
     half = half[_far_apart(half, TOKENS // 4)]
-    # Of an open front each panel gets its own tokens along the opening.
+    # With an open front, each panel gets its own tokens along the opening.
     half = np.maximum(half, (_PANEL * np.ptp(flat, axis=0).max(), -np.inf))
     front = np.concatenate([half, half * (-1.0, 1.0)])
     sides = np.repeat([1.0, -1.0], TOKENS // 2)
@@ -246,7 +246,7 @@ def _of_two_layers(
 
 
 def _far_apart(points: Float[np.ndarray, "points 2"], count: int) -> Int[np.ndarray, " chosen"]:
-    """Points of which each was the farthest from those before; repeated when there are too few."""
+    """Return farthest-point samples; points repeat if there are too few."""
     chosen = np.zeros(count, np.int64)
     chosen[0] = int(np.argmax(np.abs(points).sum(axis=1)))
     apart = np.linalg.norm(points - points[chosen[0]], axis=1)
@@ -263,7 +263,7 @@ def _on_layers(
     faces: Int[np.ndarray, "faces 3"],
     of_face: Float[np.ndarray, " faces"],
 ) -> tuple[Int[np.ndarray, " tokens"], Float[np.ndarray, "tokens 3"]]:
-    """The nearest places on the layer of each token."""
+    """Return the nearest point on the layer of each token, as face and barycentric weights."""
     level = np.column_stack([flat, np.zeros(len(flat))])
     asked = np.column_stack([places, np.zeros(len(places))])
     face, blend = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
@@ -284,10 +284,10 @@ def _shares(
     Int[np.ndarray, "vertices shares"],
     Float[np.ndarray, "vertices shares"],
 ]:
-    """Neighbors of tokens, and tokens and shares of vertices; a seam has shares of both layers."""
+    """Return token neighbors, and tokens and weights of vertices; seams use both layers."""
     flat, layers, count = mesh.flat, np.unique(sides), len(mesh.flat)
     near = np.zeros((len(places), NEIGHBORS), np.int64)
-    # As wide for one layer as for two: garments of both kinds share a batch.
+    # One layer has as many columns as two, because garments of both kinds share a batch.
     tokens = np.zeros((count, 2 * SHARES), np.int64)
     shares = np.zeros((count, 2 * SHARES))
     for number, value in enumerate(layers):
@@ -312,14 +312,14 @@ def _through_cloth(
     places: Float[np.ndarray, "tokens 2"],
     corners: Int[np.ndarray, "tokens 3"],
 ) -> Float[np.ndarray, "tokens nodes"]:
-    """Lengths of the shortest ways along edges [m] from tokens to all vertices and tokens."""
+    """Return shortest path lengths along edges [m] from tokens to all vertices and tokens."""
     count = len(flat)
     ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     nodes = count + np.arange(len(places))
     ends = np.concatenate([ends, np.column_stack([np.repeat(nodes, 3), corners.ravel()])])
     at = np.concatenate([flat, places])
     length = np.linalg.norm(at[ends[:, 0]] - at[ends[:, 1]], axis=1) + 1e-9
-    # An edge of two faces is listed twice; of equal entries one is kept, not their sum.
+    # An edge of two faces is listed twice; keep one entry, because a sparse matrix sums them.
     table = {}
     for (a, b), d in zip(ends.tolist(), length.tolist(), strict=True):
         table[min(a, b), max(a, b)] = d
@@ -331,7 +331,7 @@ def _through_cloth(
 def _convex(
     around: Float[np.ndarray, "candidates 2"], place: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " candidates"]:
-    """Shares, none below 0, whose mean of places comes nearest to a place, from near ones first."""
+    """Return nonnegative weights that interpolate a position, favoring near candidates."""
     away = around - place
     distance = np.linalg.norm(away, axis=1)
     unit = distance.max() + 1e-12
@@ -347,7 +347,7 @@ def _convex(
 def _rim_and_seam(
     faces: Int[np.ndarray, "faces 3"], side: Float[np.ndarray, " vertices"], count: int
 ) -> tuple[Bool[np.ndarray, " vertices"], Bool[np.ndarray, " vertices"]]:
-    """Which vertices lie on an open edge, and which on a seam."""
+    """Return which vertices lie on an open edge, and which on a seam."""
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(ends, axis=0, return_counts=True)
     rim = np.zeros(count, bool)
@@ -359,7 +359,7 @@ def _rim_and_seam(
 def _distance(
     places: Float[np.ndarray, "tokens 2"], others: Float[np.ndarray, "others 2"]
 ) -> Float[np.ndarray, " tokens"]:
-    """Distance [m] to the nearest of some points; the garment's extent where there is none."""
+    """Return the distance [m] to the nearest of some points; the extent if there is none."""
     if len(others) == 0:
         return np.full(len(places), float(np.ptp(places, axis=0).max()))
     return cKDTree(others).query(places)[0]

@@ -1,4 +1,4 @@
-"""Labeled pictures as examples of the token network: turned and mirrored anew in every epoch."""
+"""Labeled pictures as examples of the token network, turned and mirrored anew in every epoch."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,26 +24,27 @@ from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 _LEAST_NAMED = 0.05
-"""A label whose mesh names a smaller share of the measured pixels lies elsewhere: left out."""
+"""Labels whose mesh is near a smaller share of the measured pixels are misplaced and dropped."""
 
 LOWER_PART, BEYOND_LINE = 0.4, 0.2
-"""How often a label's picture lacks what lies low, and what lies beyond a line.
+"""Probability that low cloth is removed from a label's picture, and that cloth beyond a line is.
 
-Labels come from few recordings. What their sensor cut away, others may show, and the reverse."""
+Labels come from few recordings. Other sensors may measure parts that theirs cut away, and the
+reverse."""
 
 MOST_LOW, MOST_BEYOND = 0.6, 0.3
-"""Largest shares of the measured pixels that are missing then."""
+"""Largest shares of the measured pixels that are removed then."""
 
 
 class LabeledTokenExamples:
-    """Tracked recordings as examples, of any garments; each is a function of index, epoch and seed.
+    """Examples from tracked recordings of any garments, each a function of index, epoch and seed.
 
-    Labels whose mesh lies beside what was measured are left out.
+    Labels whose mesh is away from the measured cloth are left out.
 
     Args:
-        recordings: with their pseudo-labels.
-        network: what the pictures are for.
-        seed: of everything random.
+        recordings: recordings with their pseudo-labels.
+        network: sizes of the network that the pictures are for.
+        seed: seed of all randomness.
 
     Raises:
         InvalidConfigError: there is no label, or a first mesh has no canonical coordinates.
@@ -70,7 +71,7 @@ class LabeledTokenExamples:
         self.groups = [recordings[number].name for number, _ in self._places]
 
     def _named_share(self, number: int, picture: int) -> float:
-        """Share of the measured pixels that are near enough to the mesh to have a name."""
+        """Return the share of measured pixels near enough to the mesh for a correspondence."""
         one, cut_m = self._recordings[number], CUT * self._garments[number].size_m
         shown = one.pictures[picture]
         points = shown.camera.back_project(shown.depth_m, shown.mask)
@@ -78,11 +79,11 @@ class LabeledTokenExamples:
         return float(named.mean()) if len(named) else 0.0
 
     def __len__(self) -> int:
-        """Number of labeled pictures."""
+        """Return the number of labeled pictures."""
         return len(self._places)
 
     def __getitem__(self, draw: Draw) -> TokenExample:
-        """The picture, augmented for this epoch."""
+        """Return the picture, augmented for this epoch."""
         index, epoch = draw
         number, picture = self._places[index]
         one = self._recordings[number]
@@ -93,7 +94,7 @@ class LabeledTokenExamples:
         try:
             return self._drawn(number, with_parts_missing(whole, rng), table_m, rng)
         except InvalidRecordingError:
-            # All that has a name was missing.
+            # All pixels with a correspondence were removed.
             return self._drawn(number, whole, table_m, rng)
 
     def _drawn(
@@ -106,11 +107,11 @@ class LabeledTokenExamples:
 
 
 def with_parts_missing(picture: LabeledPicture, rng: np.random.Generator) -> LabeledPicture:
-    """A labeled picture in which part of the cloth may not have been measured.
+    """Return a labeled picture from which part of the measured cloth may be removed.
 
     Args:
-        picture: what was measured.
-        rng: of everything random.
+        picture: labeled picture.
+        rng: source of all randomness.
     """
     rows, columns = np.nonzero(picture.mask & (picture.depth_m > 0))
     kept = np.ones(len(rows), bool)
@@ -137,14 +138,14 @@ def token_example(
     *,
     table_m: float = 0.0,
 ) -> TokenExample:
-    """A labeled picture as the network takes it, mirrored and turned at random.
+    """Return a labeled picture as an example of the network, mirrored and turned at random.
 
     Args:
-        picture: what was measured, and of which mesh.
-        faces: of the mesh.
-        garment: its tokens.
-        network: what the picture is for.
-        rng: of everything random.
+        picture: labeled picture.
+        faces: faces of its mesh.
+        garment: tokens of the garment.
+        network: sizes of the network that the picture is for.
+        rng: source of all randomness.
         table_m: height of the table in the world [m].
 
     Raises:
@@ -156,7 +157,7 @@ def token_example(
     picture = picture.turned(rng.uniform(-np.pi, np.pi))
     view = crop(picture.depth_m, picture.mask, picture.camera, network)
     seen = cloth_pixels(view.depth, network)
-    # More than are asked for: some lie off the mesh.
+    # Draw more than needed, because some lie off the mesh.
     chosen = rng.permutation(len(seen.pixels))[: 2 * PIXELS]
     pixels = seen.pixels[chosen]
     points = points_of(view.depth, view.camera, seen.sources[chosen])
@@ -173,7 +174,7 @@ def token_example(
     height, distance, origin = seen_by_network(view, size_m, table_m)
     places = (garment.places(picture.positions, faces) - origin) / size_m
     if mirrored:
-        # The mirror image of a garment is one of the same kind, named by its mirror.
+        # The mirror image of a garment is a garment of the same kind with mirrored tokens.
         tokens, places = garment.mirror[tokens], places[garment.mirror]
     return TokenExample(
         height=height,
@@ -194,15 +195,15 @@ def token_example(
 def seen_by_network(
     view: CroppedView, size_m: float, table_m: float
 ) -> tuple[Float[np.ndarray, "rows columns"], float, Float[np.ndarray, " 3"]]:
-    """What the network sees of a view.
+    """Return the network's input of a view.
 
     Args:
-        view: from straight above.
+        view: picture from straight above.
         size_m: longer side of the flat garment [m].
         table_m: height of the table in the world [m].
 
     Returns:
-        Heights above the table and distance of the camera from it, in parts of the size, and the
+        Heights above the table and distance of the camera from it, in units of the size, and the
         origin of the picture's frame in the world [m].
     """
     camera: Camera = view.camera
@@ -215,9 +216,10 @@ def seen_by_network(
 def _conventional(
     places: Float[np.ndarray, "tokens 3"], garment: GarmentTokens
 ) -> Float[np.ndarray, " labelings"]:
-    """How much the cloth lies as the flat garment does under each labeling.
+    """Return how well the cloth's pose agrees with the flat garment's under each symmetry.
 
-    A sheet: its x to the right and its y up. What has two layers: its front above its back.
+    A single sheet has its x to the right and its y up; a garment of two layers has its front above
+    its back.
     """
     lying = garment.features[:, :2] if garment.layers == 1 else garment.features[:, 2:3]
     shown = places[:, :2] if garment.layers == 1 else places[:, 2:3]

@@ -1,4 +1,4 @@
-"""One training of the token network: from which weights, how far, and what it leaves."""
+"""One training of the token network: start weights, training, and the written model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -29,7 +29,7 @@ from clothtrack.reconstruction.training.training_loop import Collate, train
 
 MODEL = "model.safetensors"
 KIND = "any"
-"""The garment in the weights' description: the network is told it."""
+"""Garment in the weights' description; it is any, because the garment is an input."""
 
 PREFIX = "tokens."
 
@@ -40,12 +40,12 @@ class TokenLearning:
 
     Attributes:
         network: sizes of the network.
-        config: how it is trained.
-        folder: gets progress, scalars and `model.safetensors`.
-        processes: who trains together.
-        progress: called after every step.
-        hours: of wall time after which the training pauses; None for no limit.
-        collate: examples to a batch.
+        config: settings of the training.
+        folder: folder for progress, scalars and `model.safetensors`.
+        processes: processes that train together.
+        progress: function called after every step.
+        hours: wall time after which the training pauses [h]; None for no limit.
+        collate: function from examples to a batch.
     """
 
     network: TokenNetworkConfig
@@ -59,20 +59,20 @@ class TokenLearning:
     def of(
         self, taught: Examples, held: Examples, data: dict[str, Any], start: Weights | None
     ) -> LearningOutcome:
-        """Train on examples, and write the weights that were best on the others.
+        """Train on examples, and write the weights that were best on the held-out ones.
 
         Args:
-            taught: to train on.
-            held: to select by.
-            data: what they are made of.
-            start: weights to begin with; None: random ones.
+            taught: examples to train on.
+            held: examples that select the best weights.
+            data: description of the examples' source.
+            start: start weights; None: random weights.
 
         Raises:
             InvalidResultError: progress or weights are damaged or of another training.
-            StorageError: when the disk refuses.
+            StorageError: a file cannot be written.
         """
         torch.manual_seed(self.config.seed)
-        # Pictures one pixel after the other: convolutions on a CPU are faster so.
+        # The channels-last layout makes convolutions on a CPU faster.
         model = TokenNetwork(self.network).to(memory_format=torch.channels_last)
         stage = TokenStage(model)
         if start is not None:
@@ -104,13 +104,13 @@ class TokenLearning:
 
 
 def grown(weights: Weights, network: TokenNetworkConfig) -> Weights:
-    """Return weights for a network of more layers or hypotheses that answers as before.
+    """Return weights for a network of more layers or other hypotheses, with the same first answer.
 
-    A new layer adds nothing at first, and a new hypothesis is the first one with a little noise.
+    A new layer adds zero at first, and a new hypothesis is a copy of the first with a little noise.
 
     Args:
-        weights: of a token network.
-        network: sizes that are wanted; its width and picture are those of the weights.
+        weights: weights of a token network.
+        network: requested sizes; all but layers and hypotheses must equal those of the weights.
 
     Raises:
         InvalidResultError: they are of another network, or of other sizes.
@@ -146,7 +146,7 @@ def grown(weights: Weights, network: TokenNetworkConfig) -> Weights:
 
 
 _NOISE = 0.1
-"""Noise of a new hypothesis, over the standard deviation of the weights that it is copied from."""
+"""Noise of a new hypothesis, over the standard deviation of the weights it is copied from."""
 
 
 def split_by_digest(
@@ -154,12 +154,12 @@ def split_by_digest(
 ) -> tuple[Int[np.ndarray, " training"], Int[np.ndarray, " held_out"]]:
     """Return indices to train on and to hold out; equal digests stay together.
 
-    A garment is held out because of its own digest alone, so that the same ones are whatever else
-    is learned from; the one with the lowest digest is in any case.
+    Whether a garment is held out depends on its own digest alone, so the same garments are held out
+    whatever else is trained on. The garment with the lowest digest is always held out.
 
     Args:
-        digests: of each example's garment, in hexadecimal digits.
-        held_out_share: share of the garments to hold out, about.
+        digests: digest of each example's garment, in hexadecimal digits.
+        held_out_share: approximate share of the garments to hold out.
 
     Raises:
         InvalidConfigError: fewer than two garments, or none is left to train on.
@@ -177,12 +177,12 @@ def split_by_digest(
 
 
 def is_of_tokens(weights: Weights) -> bool:
-    """Whether weights are of a token network."""
+    """Return whether weights are of a token network."""
     return weights.kind == KIND and any(name.startswith(PREFIX) for name in weights.tensors)
 
 
 def require_tokens(weights: Weights) -> TokenNetworkConfig:
-    """The sizes of a token network, from its weights.
+    """Return the sizes of a token network from its weights.
 
     Raises:
         InvalidResultError: they are of another network.
@@ -193,7 +193,7 @@ def require_tokens(weights: Weights) -> TokenNetworkConfig:
             "weights of the token network"
         )
     try:
-        # Weights written before there were hypotheses have one.
+        # Weights written before hypotheses were introduced have one.
         return TokenNetworkConfig(**{"hypotheses": 1, **weights.network})
     except TypeError as error:
         raise InvalidResultError(

@@ -1,10 +1,10 @@
-"""Tokens of the garment and of its picture attend to one another; pixels name themselves by tokens.
+"""The token network: tokens of the garment and of its picture attend to one another.
 
-One network for every garment: it is told the garment by tokens of the rest mesh, and all lengths
-are in parts of the garment's longer side. Names are one joint distribution over all tokens, so that
-x and y of a pixel's place cannot contradict each other; the tokens' own places are learned for what
-nobody sees as well. One picture may allow several foldings, so the places come as a few hypotheses,
-each with a likelihood.
+One network serves every garment. The garment is an input, as tokens of the rest mesh, and all
+lengths are in units of the garment's longer side. A pixel's correspondence is one joint
+distribution over all tokens, so that x and y of its canonical position are consistent. Positions of
+the tokens are predicted for hidden parts too. One picture may allow several foldings, so the
+positions are a few hypotheses, each with a likelihood.
 """
 
 import math
@@ -20,16 +20,16 @@ from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.reconstruction.tokens.garment_tokens import FEATURES, TOKENS
 
 _CELL = 8
-"""Pixels of the picture per cell of the coarse grid, which is a token where cloth is."""
+"""Pixels of the picture per cell of the coarse grid; a cell with cloth is a token."""
 
 _OUT_STRIDE = 2
-"""Pixels of the picture per pixel that gets a name, along each axis."""
+"""Pixels of the picture per output pixel, along each axis."""
 
 _OCTAVES = 5
-"""Frequencies by which coordinates are given: half a period per garment, and doublings."""
+"""Number of frequencies that encode coordinates: half a period per garment, and doublings."""
 
 KEY = 64
-"""Channels of a name, whose scalar product with a token's key is the pixel's logit."""
+"""Channels of a pixel's query and of a token's key, whose dot product is the pixel's logit."""
 
 _NOWHERE = -1e4
 
@@ -39,14 +39,14 @@ class TokenNetworkConfig(Checked):
     """Sizes of the network.
 
     Attributes:
-        width: channels of a token.
-        layers: of attention.
-        heads: of each layer; few and wide ones are much faster on a CPU.
-        hypotheses: alternative sets of places for one picture.
+        width: number of channels of a token.
+        layers: number of attention layers.
+        heads: number of heads per layer; few and wide ones are much faster on a CPU.
+        hypotheses: number of alternative sets of positions for one picture.
         image_size: pixels of the picture along each side.
-        field_of_view_deg: of the picture's virtual camera [deg].
+        field_of_view_deg: field of view of the picture's virtual camera [deg].
         view_margin: free space around the cloth, over its extent.
-        least_view_m: the picture shows at least this much [m].
+        least_view_m: minimum extent that the picture shows [m].
     """
 
     width: Count = 128
@@ -60,24 +60,24 @@ class TokenNetworkConfig(Checked):
 
     @property
     def output_stride(self) -> int:
-        """Pixels of the picture per pixel that gets a name."""
+        """Pixels of the picture per output pixel."""
         return _OUT_STRIDE
 
     @property
     def output_size(self) -> int:
-        """Pixels that get a name, along each side."""
+        """Number of output pixels along each side."""
         return self.image_size // _OUT_STRIDE
 
 
 @dataclass(frozen=True, eq=False)
 class TokenInput:
-    """Pictures of garments; all lengths in parts of the garment's longer side.
+    """Pictures of garments; all lengths in units of the garment's longer side.
 
     Attributes:
-        height: above the table; `EMPTY` where no cloth was measured.
-        distance: of the camera from the table.
-        features: of the garment's tokens (`GarmentTokens.features`).
-        pixels: row and column of each pixel that is asked for its name.
+        height: height above the table; `EMPTY` where no cloth was measured.
+        distance: distance of the camera from the table.
+        features: features of the garment's tokens (`GarmentTokens.features`).
+        pixels: row and column of each pixel whose correspondence is requested.
     """
 
     height: Float[Tensor, "batch rows columns"]
@@ -95,7 +95,7 @@ class TokenOutput(NamedTuple):
 
     Attributes:
         names: logits of the pixels' correspondences over the tokens.
-        places: x, y, z and two log spreads of each token under each hypothesis, in parts of the
+        places: x, y, z and two log spreads of each token under each hypothesis, in units of the
             garment's longer side and in the picture's frame: x to the right, y up, z up from the
             table, the origin on the table below the camera.
         choice: logits of the hypotheses.
@@ -107,18 +107,18 @@ class TokenOutput(NamedTuple):
 
 
 class TokenNetwork(nn.Module):
-    """Names of pixels and places of tokens.
+    """Network that predicts correspondences of pixels and positions of tokens.
 
     Attributes:
         config: its sizes.
-        examples: how many it was trained with.
+        examples: number of examples it was trained with.
     """
 
     ticks: Tensor
     examples: Tensor
 
     def __init__(self, config: TokenNetworkConfig) -> None:
-        """Untrained."""
+        """Initialize an untrained network."""
         super().__init__()
         self.config = config
         width = config.width
@@ -149,11 +149,11 @@ class TokenNetwork(nn.Module):
         ticks = (torch.arange(size) - 0.5 * (size - 1)) / (0.5 * size)
         ticks = ticks * math.tan(math.radians(config.field_of_view_deg) / 2.0)
         self.register_buffer("ticks", ticks, persistent=False)
-        # Kept with the weights: a training that goes on is as far as it was.
+        # Saved with the weights, so that a resumed training continues its schedule.
         self.register_buffer("examples", torch.zeros((), dtype=torch.long))
 
     def forward(self, asked: TokenInput) -> TokenOutput:
-        """Return names of pixels, hypotheses of the tokens' places, and their likelihoods."""
+        """Return correspondences of pixels, hypotheses of token positions, and likelihoods."""
         batch, cells = len(asked.height), self.config.image_size // _CELL
         cloth = (asked.height > 0.5 * EMPTY).float()
         fine = self.stem(self._channels(asked, cloth).contiguous(memory_format=torch.channels_last))
@@ -161,9 +161,9 @@ class TokenNetwork(nn.Module):
         coarse = self.down[2](self.down[1](middle))
         filled = functional.max_pool2d(cloth[:, None], _CELL).flatten(1) > 0
         seen = coarse.flatten(2).transpose(1, 2) + self.cell(self._cell_places(asked))
-        # Empty cells are dropped: cells with cloth come first, cut to the fullest picture.
+        # Drop empty cells: sort cells with cloth first and truncate to the fullest picture.
         order = torch.argsort(filled.float(), dim=1, descending=True, stable=True)
-        # In steps of 32, so that few shapes occur: each has kernels and memory of its own.
+        # Round up to a multiple of 32, because each new shape needs its own kernels and memory.
         fullest = -(-int(filled.sum(1).max()) // 32) * 32
         order = order[:, :fullest]
         index = order[..., None].expand(-1, -1, seen.shape[-1])
@@ -191,7 +191,7 @@ class TokenNetwork(nn.Module):
     def _hypotheses(
         self, template: Float[Tensor, "batch tokens width"]
     ) -> tuple[Float[Tensor, "batch hypotheses tokens 5"], Float[Tensor, "batch hypotheses"]]:
-        """Return the places of the tokens under each hypothesis, and its logits."""
+        """Return the token positions under each hypothesis, and the hypotheses' logits."""
         count = self.config.hypotheses
         places = self.place(template).float()
         places = places.unflatten(-1, (count, 5)).transpose(1, 2)
@@ -202,7 +202,7 @@ class TokenNetwork(nn.Module):
     def _channels(
         self, asked: TokenInput, cloth: Float[Tensor, "batch rows columns"]
     ) -> Float[Tensor, "batch 5 rows columns"]:
-        """Cloth or not, height, height over the mean, x and y; each about as large as 1."""
+        """Return cloth mask, height, height over the mean, x and y, each scaled to about 1."""
         height = asked.height * cloth
         depth = asked.distance[:, None, None] - height
         x, y = self.ticks[None, None, :] * depth, -self.ticks[None, :, None] * depth
@@ -211,7 +211,7 @@ class TokenNetwork(nn.Module):
         return torch.stack([rows[0], *(cloth * row for row in rows[1:])], 1)
 
     def _cell_places(self, asked: TokenInput) -> Float[Tensor, "batch cells told"]:
-        """Where the cells' middles lie on the table, and how far the camera is from it."""
+        """Return the encoded cell centers on the table, and the camera's distance from it."""
         middles = self.ticks.view(-1, _CELL).mean(1)
         across = torch.broadcast_tensors(middles[None, :], -middles[:, None])
         far = asked.distance[:, None, None]
@@ -219,14 +219,14 @@ class TokenNetwork(nn.Module):
         return torch.cat([_waves(at), far.expand(-1, at.shape[1], 1)], -1)
 
     def _told(self, features: Float[Tensor, "batch tokens features"]) -> Tensor:
-        """Features of the garment's tokens, with waves of their coordinates."""
+        """Return the token features, with sines and cosines of their coordinates."""
         metric, between, relative = features[..., :2], features[..., 2:5], features[..., 5:]
         return torch.cat([_waves(metric), _waves(relative), between], -1)
 
     def _bias(
         self, valid: Bool[Tensor, "batch cells"], tokens: Float[Tensor, "batch all width"]
     ) -> Float[Tensor, "batch 1 1 all"]:
-        """What keeps padding from being attended to."""
+        """Return the attention bias that masks padding."""
         of_garment = valid.new_ones(len(valid), TOKENS)
         mask = torch.cat([of_garment, valid], 1)[:, None, None, :]
         return torch.zeros(mask.shape, dtype=tokens.dtype, device=mask.device).masked_fill(
@@ -245,14 +245,14 @@ class _Residual(nn.Module):
         self.shortcut = nn.Identity() if same else _convolution(inward, outward, stride, size=1)
 
     def forward(self, picture: Tensor) -> Tensor:
-        """The picture, one level coarser where the stride is 2."""
+        """Return the feature map, at half the resolution if the stride is 2."""
         return functional.relu(
             self.second(functional.relu(self.first(picture))) + self.shortcut(picture)
         )
 
 
 class _Layer(nn.Module):
-    """Self-attention of all tokens, garment's and picture's, and a perceptron."""
+    """Self-attention of all tokens, of garment and picture, and a perceptron."""
 
     def __init__(self, width: int, heads: int, growth: int = 3) -> None:
         super().__init__()
@@ -264,11 +264,11 @@ class _Layer(nn.Module):
         )
 
     def forward(self, tokens: Tensor, bias: Tensor) -> Tensor:
-        """The tokens after they have looked at one another."""
+        """Return the tokens after attention and perceptron."""
         batch, count, width = tokens.shape
         parts = self.split(self.before(tokens)).view(batch, count, 3, self.heads, -1)
         query, key, value = parts.permute(2, 0, 3, 1, 4)
-        # By hand: on a CPU the fused kernel takes 2.6 times as long in bfloat16, mostly backwards.
+        # Not fused: on a CPU the fused kernel takes 2.6 times as long in bfloat16, mostly backward.
         scores = (query * (width // self.heads) ** -0.5) @ key.transpose(-1, -2)
         looked = (scores + bias).softmax(-1) @ value
         tokens = tokens + self.join(looked.transpose(1, 2).reshape(batch, count, width))
@@ -282,6 +282,6 @@ def _convolution(inward: int, outward: int, stride: int = 1, *, size: int = 3) -
 
 
 def _waves(places: Float[Tensor, "*batch axes"]) -> Float[Tensor, "*batch waves"]:
-    """Coordinates with their sines and cosines."""
+    """Return coordinates with their sines and cosines."""
     angles = torch.cat([places * (math.pi * 2.0**octave) for octave in range(_OCTAVES)], -1)
     return torch.cat([places, angles.sin(), angles.cos()], -1)

@@ -1,7 +1,7 @@
-"""States as batches of the token network: rendered, measured, cropped and named together.
+"""States as batches of the token network: rendered, measured, cropped and labeled together.
 
-A whole batch is made at once, where the network is: on any device that PyTorch computes on, and
-without Warp. All that lies in a batch is a function of the states, the seed and the step.
+A whole batch is made at once on the network's device, which may be any PyTorch device, without
+Warp. The content of a batch is a function of the states, the seed and the step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,34 +24,34 @@ from clothtrack.reconstruction.tokens.token_states import TokenStates
 from clothtrack.reconstruction.training.batches import Draw
 
 PIXELS = 192
-"""Pixels per example that are asked for their name. With 512 a step took 1.1 times as long."""
+"""Number of pixels per example with a correspondence. With 512 a step took 1.1 times as long."""
 
 CUT = 0.05
-"""A pixel farther from the mesh than this, over the garment's size, has no name."""
+"""A pixel farther from the mesh than this, over the garment's size, has no correspondence."""
 
 TABLE_ERROR = 0.008
-"""Standard deviation of the table's height, over the garment's size: planes are fitted."""
+"""Standard deviation of the table's height, over the garment's size, since planes are fitted."""
 
 SIZE_ERROR = 0.02
-"""Standard deviation of the size that the network is told, over the size: tapes and flats lie."""
+"""Relative standard deviation of the size that the network is given, for measurement errors."""
 
 _SPARE = 1.25
-"""Pixels that are looked at for each that is asked for: some have no name."""
+"""Ratio of drawn pixels to needed pixels; some drawn ones have no correspondence."""
 
 _PART_PIXELS = {"cpu": 200_000, "cuda": 8_000_000}
-"""Pixels of depth pictures that are made together: what fits a processor's cache, and enough to
-keep a GPU busy. Pictures of much the same size come together: larger parts have wider margins."""
+"""Number of depth pixels that are rendered together: what fits a CPU's cache, and enough to keep a
+GPU busy. Pictures of similar size are grouped, because larger groups need wider margins."""
 
 
 class TokenPictures:
     """States as batches of the token network.
 
     Args:
-        states: of any garments.
-        network: what the pictures are for.
-        rendering: the cameras.
-        device: where the batches are made, "cpu" or "cuda:0".
-        seed: of everything random.
+        states: states of any garments.
+        network: sizes of the network that the pictures are for.
+        rendering: settings of the cameras.
+        device: device that makes the batches, "cpu" or "cuda:0".
+        seed: seed of all randomness.
     """
 
     def __init__(
@@ -73,26 +73,26 @@ class TokenPictures:
         self._part_pixels = _PART_PIXELS[device.split(":", maxsplit=1)[0]]
 
     def __len__(self) -> int:
-        """Number of states."""
+        """Return the number of states."""
         return len(self._low)
 
     def __getitem__(self, draw: Draw) -> Draw:
-        """The draw itself: a state is rendered with its batch."""
+        """Return the draw itself, because a state is rendered with its batch."""
         return draw
 
     def rendered(self, draws: Sequence[Draw]) -> TokenBatch:
-        """Render the states of a batch; the same draws, the same pictures."""
+        """Render the states of a batch; equal draws give equal pictures."""
         chosen = torch.tensor([index for index, _ in draws])
         return self.batch(chosen, [number for draw in draws for number in draw])
 
     def batch(self, chosen: Int[Tensor, " batch"], step: Sequence[int]) -> TokenBatch:
         """Render some states, mirrored and turned at random.
 
-        A state of which too little was measured is replaced by another one of the batch.
+        A state with too little measured cloth is replaced by another one of the batch.
 
         Args:
-            chosen: which states, on the processor.
-            step: what these pictures are for: the same numbers, the same pictures.
+            chosen: indices of the states, on the CPU.
+            step: seed numbers; equal numbers give equal pictures.
         """
         seeds = np.random.SeedSequence([self.seed, *step]).generate_state(2, np.uint64)
         draws = Generator().manual_seed(int(seeds[0] >> 1))
@@ -114,7 +114,7 @@ class TokenPictures:
     def _seen(
         self, cloths: Cloths, garments: "_Garments", world: "_Worlds", noise: Generator
     ) -> "_Seen":
-        """What the network sees of some cloths, and what pixels of it are called."""
+        """Return the network's input of some cloths, with the correspondences of its pixels."""
         measured = measure(cloths, noise)
         views = above(measured, world.motion, self.network)
         blocks, sources, shown = _drawn_pixels(
@@ -122,7 +122,7 @@ class TokenPictures:
         )
         found = on_mesh(views.points(sources), measured)
         known = shown & (found.apart <= CUT * garments.size_m[:, None])
-        # Those with a name come first; too few are asked for more than once.
+        # Pixels with a correspondence come first; if there are too few, they repeat.
         first = torch.sort(known.byte(), dim=1, descending=True, stable=True).indices
         turn = torch.arange(PIXELS, device=known.device) % known.sum(1, keepdim=True).clamp_(1)
         taken = first.gather(1, turn)[..., None]
@@ -147,13 +147,13 @@ class TokenPictures:
 
 @dataclass(frozen=True, eq=False)
 class _Worlds:
-    """What is done to the world of each example before the network sees it.
+    """Transformation of each example's world before the network sees it.
 
     Attributes:
-        motion: a turn about the vertical, after a mirror image where there is one.
-        mirrored: whether there is.
-        size_factor: the size that the network is told, over the true one.
-        table_shift: height of the table that the network is told, over the size.
+        motion: turn about the vertical, after mirroring if the example is mirrored.
+        mirrored: whether the example is mirrored.
+        size_factor: size that the network is given, over the true size.
+        table_shift: table height that the network is given, over the size.
     """
 
     motion: Float[Tensor, "batch 3 3"]
@@ -163,7 +163,7 @@ class _Worlds:
 
     @classmethod
     def drawn(cls, count: int, draws: Generator) -> "_Worlds":
-        """Worlds at random."""
+        """Draw random worlds."""
         mirrored = torch.rand(count, generator=draws) < 0.5
         angle = 2.0 * torch.pi * torch.rand(count, generator=draws)
         errors = torch.randn(2, count, generator=draws)
@@ -176,12 +176,12 @@ class _Worlds:
 
 @dataclass(frozen=True, eq=False)
 class _Garments:
-    """The states of a batch, and what the network is told of their garments.
+    """States of a batch, and the network's input of their garments.
 
     Attributes:
-        positions: vertices in the world [m]; those of a smaller garment come again.
-        faces: vertices of each face, by corner; those that only fill up are vertex 0.
-        first: where the vertices of each garment begin among all.
+        positions: vertices in the world [m]; those of a smaller garment are repeated.
+        faces: vertices of each face, by corner; padding faces have vertex 0.
+        first: index of each garment's first vertex among all.
         features, token_corners, token_blend, labelings, is_labeling, mirror, neighbors, size_m,
             layers: as in `TokenStates`.
     """
@@ -203,12 +203,12 @@ class _Garments:
     def of(
         cls, states: TokenStates, chosen: Int[Tensor, " batch"], most: Mapping[str, int]
     ) -> "_Garments":
-        """Those of some states.
+        """Return the chosen states with their garments.
 
         Args:
-            states: all, on the device.
-            chosen: which, there too.
-            most: vertices and faces of the largest garment.
+            states: all states, on the device.
+            chosen: indices of the states, on the device.
+            most: number of vertices and faces of the largest garment.
         """
         garment, vertices, faces = states.garment[chosen], states.vertices, states.faces
         vertex = torch.arange(most["vertices"], device=chosen.device) % vertices[garment, None]
@@ -226,7 +226,7 @@ class _Garments:
         )
 
     def places(self) -> Float[Tensor, "batch tokens 3"]:
-        """Where the tokens are in the world [m]."""
+        """Return the token positions in the world [m]."""
         batch = len(self.positions)
         index = self.token_corners.reshape(batch, -1, 1).expand(-1, -1, 3)
         at = self.positions.gather(1, index).view(*self.token_corners.shape, 3)
@@ -241,12 +241,12 @@ _OF_GARMENTS = (
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What was seen of the examples; lengths in parts of the garment's size, but `origin` [m].
+    """Observed part of the examples; lengths in units of the garment's size, but `origin` [m].
 
     Attributes:
         height, distance, pixels, pixel_tokens, pixel_shares, size_m: as in `TokenExample`, before
-            tokens are called as in a mirror.
-        origin: of the picture's frame, in the moved world.
+            tokens are mirrored.
+        origin: origin of the picture's frame, in the transformed world.
         is_cloth: whether enough of the cloth was measured.
     """
 
@@ -263,17 +263,17 @@ class _Seen:
 def _drawn_pixels(
     depth: Float[Tensor, "batch size size"], stride: int, count: int, noise: Generator
 ) -> tuple[Int[Tensor, "batch drawn 2"], Int[Tensor, "batch drawn 2"], Bool[Tensor, "batch drawn"]]:
-    """Some pixels of cloth at random (`view.py: cloth_pixels`).
+    """Draw random pixels of cloth (`view.py: cloth_pixels`).
 
     Args:
-        depth: the network's pictures [m]; 0 where no cloth is.
-        stride: pixels of a picture per pixel that gets a name.
-        count: how many to draw.
-        noise: of the choice.
+        depth: the network's pictures [m]; 0 where there is no cloth.
+        stride: pixels of a picture per output pixel.
+        count: number of pixels to draw.
+        noise: generator of the choice.
 
     Returns:
-        Row and column of those pixels; of the measurement that stands for each, the nearest to the
-        camera; and which of them show cloth, the first ones.
+        Row and column of the drawn output pixels; row and column of the measurement that represents
+        each, the nearest to the camera; and which of them show cloth (these come first).
     """
     batch, size = depth.shape[:2]
     blocks = size // stride
@@ -291,11 +291,11 @@ def _drawn_pixels(
 
 
 def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
-    """The batch, as the network learns from it."""
+    """Return the batch that the network learns from."""
     count = len(seen.height)
     places = garments.places() @ world.motion.transpose(1, 2)
     places = (places - seen.origin[:, None]) / seen.size_m[:, None, None]
-    # The mirror image of a garment is one of the same kind, named by its mirror.
+    # The mirror image of a garment is a garment of the same kind with mirrored tokens.
     same = torch.arange(garments.mirror.shape[1], device=places.device)
     name = torch.where(world.mirrored[:, None], garments.mirror, same)
     places = places.gather(1, name[..., None].expand(-1, -1, 3))
@@ -315,7 +315,7 @@ def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
         size_m=seen.size_m,
         weight=seen.is_cloth.any().float().expand(count),
     )
-    # One without cloth has nothing to teach: the first that has some stands in for it.
+    # Replace an example without cloth by the first one that has cloth.
     number = torch.arange(count, device=places.device)
     source = torch.where(seen.is_cloth, number, seen.is_cloth.byte().argmax())
     return rows_of(batch, source)
@@ -324,9 +324,10 @@ def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
 def _conventional(
     places: Float[Tensor, "batch tokens 3"], garments: _Garments
 ) -> Float[Tensor, "batch labelings"]:
-    """How much each cloth lies as the flat garment does under each labeling.
+    """Return how well each cloth's pose agrees with the flat garment's under each symmetry.
 
-    A sheet: its x to the right and its y up. What has two layers: its front above its back.
+    A single sheet has its x to the right and its y up; a garment of two layers has its front above
+    its back.
     """
     level = (garments.layers == 1).float()
     axes = torch.stack([level, level, 1.0 - level], 1)

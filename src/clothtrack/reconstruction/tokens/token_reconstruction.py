@@ -1,8 +1,8 @@
-"""What the token network says of one garment in one depth picture.
+"""The token network's answers for one garment in one depth picture.
 
-The picture is shown in its eight quarter turns and mirror images. Answers that say the same are
-named alike and joined, each by its own spread. Which of rival answers is right, the picture decides
-(`reconstruction.search`).
+The network is given the picture in its eight quarter turns and mirror images. Answers that agree
+up to symmetry are merged, each weighted by its own spread. `reconstruction.search` compares rival
+answers with the picture and selects one.
 """
 
 from dataclasses import dataclass, replace
@@ -32,26 +32,26 @@ from clothtrack.reconstruction.tokens.token_stage import LOG_SPREADS
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 
 VIEWS = 8
-"""Quarter turns and mirror images of a picture."""
+"""Number of quarter turns and mirror images of a picture."""
 
 _ALIKE = 0.1
-"""Hypotheses whose tokens are nearer than this in the mean, over the garment's size, agree."""
+"""Mean token distance, over the garment's size, below which hypotheses agree."""
 
 _LEAST_LIKELY = 0.1
-"""Hypotheses less likely than this in their view are not asked for."""
+"""Hypotheses less likely than this in their view do not start a set of agreeing hypotheses."""
 
 _MOST_PARTIES = 8
-"""Most rival answers of one picture."""
+"""Maximum number of rival answers for one picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One picture as the network sees it, whatever garment it is asked about.
+    """One picture as the network sees it, for any garment.
 
     Attributes:
-        view: the cloth from straight above.
-        pixels: row and column of each named pixel in the canonical picture.
-        points: what each of them shows [m], world.
+        view: picture of the cloth from straight above.
+        pixels: row and column of each pixel of cloth in the canonical picture.
+        points: measured point of each pixel [m], world.
         table_m: height of the table in the world [m].
     """
 
@@ -63,15 +63,15 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class TokenAnswer:
-    """What the network says about one picture of one garment.
+    """The network's prediction for one picture of one garment.
 
     Attributes:
-        seen: measured points, their canonical positions [m] and the share of the names that agrees.
-        places: of the tokens in the world [m].
-        spreads: level and vertical mean deviation of each place [m].
+        seen: measured points, their canonical positions [m] and the probability near those.
+        places: token positions in the world [m].
+        spreads: horizontal and vertical mean deviation of each position [m].
         pixels: row and column of each point in the canonical picture.
-        view: the picture that the network saw.
-        tokens: of the garment.
+        view: picture that the network saw.
+        tokens: tokens of the garment.
     """
 
     seen: SeenPoints
@@ -83,7 +83,7 @@ class TokenAnswer:
 
     @property
     def guide(self) -> Guide:
-        """What it says of the garment's vertices."""
+        """Prediction for the garment's vertices."""
         level, height = self.spreads.T
         return Guide(
             self.seen,
@@ -93,7 +93,7 @@ class TokenAnswer:
         )
 
     def turned(self, angle_rad: float) -> "TokenAnswer":
-        """The same in a world that is turned about the vertical through its origin."""
+        """Return the same answer in a world turned about the vertical through its origin."""
         return replace(
             self,
             seen=self.seen.turned(angle_rad),
@@ -111,13 +111,13 @@ class TokenReconstructor:
     """
 
     def __init__(self, model: TokenNetwork) -> None:
-        """Take a network into use."""
+        """Wrap a network for evaluation."""
         self.model = model.eval()
         self.config: TokenNetworkConfig = model.config
 
     @classmethod
     def load(cls, path: Path, *, device: str = "cpu") -> "TokenReconstructor":
-        """The network of a weights file.
+        """Load the network of a weights file.
 
         Raises:
             InvalidResultError: it is damaged or of another network.
@@ -126,7 +126,7 @@ class TokenReconstructor:
 
     @classmethod
     def of(cls, weights: Weights, *, device: str = "cpu") -> "TokenReconstructor":
-        """The network of weights that were read.
+        """Return the network of loaded weights.
 
         Raises:
             InvalidResultError: they are of another network.
@@ -136,7 +136,7 @@ class TokenReconstructor:
         return cls(model.to(device))
 
     def look(self, picture: DepthInput) -> Look:
-        """The picture as the network sees it.
+        """Return the picture as the network sees it.
 
         Args:
             picture: depth, mask, camera and table; world z up.
@@ -157,13 +157,13 @@ class TokenReconstructor:
         views: int = VIEWS,
         most: int = _MOST_PARTIES,
     ) -> list[TokenAnswer]:
-        """Return rival answers: all views joined, and hypotheses joined with those that agree.
+        """Return rival answers: all views merged, and each set of agreeing hypotheses merged.
 
         Args:
-            look: at the picture.
-            tokens: of the garment.
-            views: quarter turns and mirror images that are asked about, 1 to 8.
-            most: answers that are wanted, the likeliest.
+            look: picture as the network sees it.
+            tokens: tokens of the garment.
+            views: number of quarter turns and mirror images in the query, 1 to 8.
+            most: maximum number of answers.
 
         Raises:
             InvalidResultError: the network's answer is not finite.
@@ -195,7 +195,7 @@ class TokenReconstructor:
         tokens: GarmentTokens,
         views: int,
     ) -> "_Views":
-        """Names and hypotheses of each view, named and placed as in the picture itself."""
+        """Return correspondences and hypotheses of each view, in the picture's own frame."""
         last = self.config.output_size - 1
         shown, asked = [], []
         for number in range(views):
@@ -230,7 +230,7 @@ class TokenReconstructor:
             if number & 1:
                 place[..., 0] *= -1.0
             if number.bit_count() % 2:
-                # The mirror image was named as the garment's mirror image is.
+                # The network saw the mirrored garment, so map its tokens back.
                 places[number] = place[:, tokens.mirror]
                 spreads[number] = spreads[number][:, tokens.mirror]
                 names[number] = names[number][:, mirror]
@@ -244,9 +244,9 @@ class _Views:
 
     Attributes:
         names: correspondences by view.
-        places, spreads: of the tokens, by view and hypothesis.
-        likelihoods: of the hypotheses of each view; their sum is 1.
-        tokens: of the garment.
+        places, spreads: token positions and their spreads, by view and hypothesis.
+        likelihoods: likelihoods of the hypotheses of each view; their sum is 1.
+        tokens: tokens of the garment.
     """
 
     names: Tensor
@@ -256,10 +256,10 @@ class _Views:
     tokens: GarmentTokens
 
     def parties(self) -> list[tuple["_Member", ...]]:
-        """Return sets of hypotheses to join: the likeliest of each view, and those that agree.
+        """Return sets of hypotheses to merge: the likeliest of each view, and those that agree.
 
-        Each hypothesis of any view gathers those of other views that are alike, one per view.
-        Parties are in the order of their likelihood; improbable ones are left out.
+        Each likely hypothesis of any view collects those that agree with it, one per view. The set
+        of the likeliest ones is first; the others are sorted by likelihood and truncated.
         """
         views, count = self.likelihoods.shape
         everybody = tuple((view, int(self.likelihoods[view].argmax())) for view in range(views))
@@ -276,7 +276,10 @@ class _Views:
     def joined(
         self, members: tuple["_Member", ...]
     ) -> tuple[Float[np.ndarray, "asked tokens"], np.ndarray, np.ndarray]:
-        """One answer of some hypotheses: named as the surest is, and weighed by their spreads."""
+        """Return one answer from some hypotheses, with the symmetry of the most certain one.
+
+        The hypotheses are weighted by their spreads.
+        """
         surest = max(members, key=lambda one: self._sure[one[0]])
         share = torch.zeros_like(self.names[0])
         total = np.zeros_like(self.places[0, 0])
@@ -292,18 +295,18 @@ class _Views:
 
     @cached_property
     def _sure(self) -> list[float]:
-        """Mean share of the likeliest name, per view."""
+        """Mean probability of the likeliest token, per view."""
         return self.names.max(-1).values.mean(-1).tolist()
 
     def _alike(self, center: "_Member") -> tuple["_Member", ...]:
-        """The hypotheses whose places are those of one, whatever they are called; one per view."""
+        """Return hypotheses whose positions agree with one up to symmetry, one per view."""
         apart = self._apart(center, self.places).min(axis=-1)
         return tuple(
             (view, int(gaps.argmin())) for view, gaps in enumerate(apart) if gaps.min() < _ALIKE
         )
 
     def _named_as(self, center: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
-        """The labeling of a hypothesis that is nearest to another's, and their mean distance."""
+        """Return the symmetry of a hypothesis nearest to another one, and their mean distance."""
         gaps = self._apart(center, self.places[member])
         nearest = int(np.argmin(gaps))
         return self._labelings[nearest], float(gaps[nearest])
@@ -311,7 +314,7 @@ class _Views:
     def _apart(
         self, center: "_Member", places: Float[np.ndarray, "*sets tokens 3"]
     ) -> Float[np.ndarray, "*sets labelings"]:
-        """Mean distances of places from those of a hypothesis, by each labeling."""
+        """Return mean distances of positions from those of a hypothesis, by symmetry."""
         moved = places[..., self._labelings, :] - self.places[center]
         return np.sqrt(np.square(moved).sum(axis=-1)).mean(axis=-1)
 
@@ -327,7 +330,7 @@ _Member = tuple[int, int]
 def _read(
     share: Float[np.ndarray, "asked tokens"], tokens: GarmentTokens
 ) -> tuple[Float[np.ndarray, "asked 3"], Float[np.ndarray, " asked"]]:
-    """Canonical positions [m] about the likeliest names, and how likely these are."""
+    """Return canonical positions [m] around the likeliest tokens, and the probability there."""
     around = tokens.neighbors[share.argmax(axis=1)]
     near = np.take_along_axis(share, around, axis=1)
     sure = near.sum(axis=1)
@@ -336,7 +339,7 @@ def _read(
 
 
 def _table_height(picture: DepthInput, points: Float[np.ndarray, "points 3"]) -> float:
-    """Height of the table in the world [m]; that of the lowest points where nothing is known."""
+    """Return the height of the table in the world [m]; without a table, of the lowest points."""
     if picture.table is not None:
         return float(picture.table.point[2])
     return float(np.percentile(points[:, 2], 0.5))

@@ -1,12 +1,13 @@
-"""What the token network learns: names of pixels, places of tokens, how sure it is of them.
+"""The loss of the token network: correspondences of pixels, positions of tokens, and spreads.
 
-Which of a garment's look-alike labelings is true cannot be seen (`GarmentTokens.labelings`). The
-loss of a picture is a soft minimum over them, which hardens while training goes on; at first the
-labeling that lies most as the flat garment does is asked for, so that names settle at all.
+A picture cannot distinguish the symmetries of a garment (`GarmentTokens.labelings`). The loss of a
+picture is therefore a soft minimum over them, which hardens during training. At first the symmetry
+closest to the flat garment's pose is the target, because otherwise correspondences do not converge.
 
-Of several hypotheses of the places only the nearest learns ("winner takes all"; A. Guzman-Rivera,
-D. Batra, P. Kohli, 2012), and its likelihood rises. A small share of the loss goes to the others,
-so that none is left behind (C. Rupprecht et al., 2017, doi:10.1109/ICCV.2017.388).
+Of several hypotheses of the positions only the nearest learns ("winner takes all"; A.
+Guzman-Rivera, D. Batra, P. Kohli, 2012), and its likelihood rises. A small share of the loss goes
+to the others, so that none stops learning (C. Rupprecht et al., 2017,
+doi:10.1109/ICCV.2017.388).
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,14 +28,15 @@ from clothtrack.reconstruction.tokens.token_network import (
 from clothtrack.reconstruction.training.stage import Stage
 
 PLACE_WEIGHT, SPREAD_WEIGHT, EDGE_WEIGHT = 10.0, 0.1, 2.0
-"""Weights of the loss beside 1 for names [nat]: places and edges are in parts of the garment."""
+"""Loss weights relative to 1 for correspondences [nat]; positions and edges are in units of the
+garment's size."""
 
 CONVENTION_EXAMPLES, HARDENING_EXAMPLES = 6_000, 12_000
-"""Examples for which one labeling is asked for by convention, and after which the minimum over
-labelings is as hard as it gets."""
+"""Number of examples with the symmetry fixed by convention, and number of examples after which the
+minimum over symmetries has its final hardness."""
 
 _OTHERS = 0.08
-"""Share of the loss of places that hypotheses which are not the nearest have together."""
+"""Total share of the position loss for the hypotheses that are not the nearest."""
 
 _CHOICE_WEIGHT = 0.2
 """Weight of the cross entropy of the hypotheses' likelihoods [nat]."""
@@ -44,21 +46,21 @@ SOFTEST, HARDEST = 0.5, 0.02
 """Temperature of the minimum at the beginning and at the end [nat]."""
 
 LOG_SPREADS = (-6.0, 1.0)
-"""Least and largest logarithm of a spread, in parts of the garment."""
+"""Least and largest logarithm of a spread in units of the garment's size."""
 
 
 @dataclass(frozen=True, eq=False)
 class TokenExample:
-    """A picture of a garment, and where every token is; lengths in parts of the garment's size.
+    """A picture of a garment with token positions; lengths in units of the garment's size.
 
     Attributes:
         height, distance, features, pixels: as in `TokenInput`.
-        pixel_tokens, pixel_shares: the name of each pixel: tokens around what it shows.
-        places: of the tokens, in the picture's frame.
-        labelings, is_labeling, neighbors: of the garment (`GarmentTokens`).
-        conventional: how much each labeling lies as the flat garment does.
-        size_m: the unit of length [m].
-        weight: 0 where the picture shows no cloth, otherwise 1.
+        pixel_tokens, pixel_shares: correspondence of each pixel: tokens around its point, weights.
+        places: positions of the tokens in the picture's frame.
+        labelings, is_labeling, neighbors: as in `GarmentTokens`.
+        conventional: agreement of the cloth with the flat garment's pose under each symmetry.
+        size_m: unit of length [m].
+        weight: 0 if the picture shows no cloth, otherwise 1.
     """
 
     height: Float[np.ndarray, "rows columns"]
@@ -99,17 +101,17 @@ class TokenBatch:
     weight: Tensor
 
     def to(self, device: str) -> "TokenBatch":
-        """The same on another device."""
+        """Return the batch on another device."""
         return TokenBatch(**{one.name: getattr(self, one.name).to(device) for one in fields(self)})
 
     @property
     def asked(self) -> TokenInput:
-        """What the network is asked."""
+        """Input of the network."""
         return TokenInput(self.height, self.distance, self.features, self.pixels)
 
 
 def collate_tokens(examples: Sequence[TokenExample]) -> TokenBatch:
-    """Examples as one batch."""
+    """Return the examples as one batch."""
     stacked = {}
     for one in fields(TokenExample):
         values = np.stack([np.asarray(getattr(example, one.name)) for example in examples])
@@ -123,7 +125,7 @@ class TokenStage(Stage):
     """Training of the token network.
 
     Args:
-        model: is trained.
+        model: network to train.
     """
 
     name = "tokens"
@@ -138,7 +140,7 @@ class TokenStage(Stage):
         self.trained = nn.ModuleDict({"tokens": model})
 
     def forward(self, batch: TokenBatch) -> Mapping[str, Tensor]:
-        """The loss of a batch and its parts."""
+        """Return the loss of a batch and its parts."""
         done = int(self.model.examples)
         self.model.examples.add_(len(batch.height))
         output = self.model(batch.asked)
@@ -169,11 +171,11 @@ class TokenStage(Stage):
         }
 
     def measure(self, batch: TokenBatch) -> Mapping[str, Tensor]:
-        """Errors up to look-alike labeling, per picture.
+        """Return errors up to symmetry, per picture.
 
-        Places are those of the likeliest hypothesis, and of the nearest one ("nearest_error"), in
-        parts of the garment and in mm. "edge_ratio" is the length of edges between tokens over
-        their true length: below 1 where places shrink to a mean.
+        Position errors are those of the likeliest hypothesis, in units of the garment's size and in
+        mm, and of the nearest one ("nearest_error"). "edge_ratio" is the length of edges between
+        tokens over their true length; it is below 1 when positions shrink towards a mean.
         """
         output = self.model(batch.asked)
         parts = _parts(output, batch)
@@ -197,7 +199,7 @@ class TokenStage(Stage):
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Losses per picture, labeling and hypothesis; zero where a row is no labeling."""
+    """Losses per picture, symmetry and hypothesis; zero for padding rows."""
 
     names: Float[Tensor, "batch labelings"]
     places: Float[Tensor, "batch labelings hypotheses"]
@@ -206,23 +208,24 @@ class _Parts:
 
     @property
     def of_places(self) -> Float[Tensor, "batch labelings hypotheses"]:
-        """Loss of places and edges, with their weights."""
+        """Weighted loss of positions and edges."""
         return PLACE_WEIGHT * self.places + EDGE_WEIGHT * self.edges
 
     def at(self, index: Int[Tensor, "batch labelings 1"]) -> "_Parts":
-        """The losses of one hypothesis per picture."""
+        """Return the losses of one hypothesis per picture."""
         rows = (part.gather(-1, index) for part in (self.places, self.spreads, self.edges))
         return _Parts(self.names, *rows)
 
     def best(self, batch: TokenBatch) -> Int[Tensor, "batch 1"]:
-        """The labeling that fits best, each with its nearest hypothesis."""
+        """Return the symmetry that fits best, each evaluated with its nearest hypothesis."""
         each = self.names + PLACE_WEIGHT * self.places.amin(-1)
         return each.detach().masked_fill(~batch.is_labeling, torch.inf).argmin(1)[:, None]
 
 
 def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
     picture, labeling = batch.is_labeling.nonzero(as_tuple=True)
-    # What is token i is called name[i]: its pixels are, and the token of that name lies there.
+    # A symmetry relabels token i as name[i]: its pixels should predict name[i], and the prediction
+    # for token name[i] should lie at the position of token i.
     name = batch.labelings[picture, labeling]
     shares = batch.pixel_shares[picture]
     called = name.gather(1, batch.pixel_tokens[picture].flatten(1)).view_as(shares)
@@ -233,7 +236,7 @@ def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
     true, near = batch.places[picture][:, None], batch.neighbors[picture]
     gap = guess[..., :3] - true
     places = gap.square().sum(-1).add(1e-6).sqrt().mean(-1)
-    # The mean learns by distance, the measure itself; the spread by Laplace's likelihood.
+    # The position is trained by distance, like the measure; the spread by a Laplace likelihood.
     off, spread = gap.detach().abs(), guess[..., 3:].clamp(*LOG_SPREADS)
     level = off[..., :2].sum(-1) * (-spread[..., 0]).exp() + 2.0 * spread[..., 0]
     height = off[..., 2] * (-spread[..., 1]).exp() + spread[..., 1]
@@ -242,7 +245,7 @@ def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
     edges = (long - wanted).abs().mean((-2, -1))
 
     def table(values: Tensor) -> Tensor:
-        # Zero where a row is no labeling: its share of the loss is zero, and so is its gradient.
+        # Padding rows are zero, so that their share of the loss and their gradient are zero too.
         shape = (*batch.is_labeling.shape, *values.shape[1:])
         return values.new_zeros(shape).index_put((picture, labeling), values)
 
@@ -252,7 +255,7 @@ def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
 def _lengths(
     places: Float[Tensor, "*batch tokens 3"], near: Int[Tensor, "*around tokens neighbors"]
 ) -> Float[Tensor, "*batch tokens others"]:
-    """Distances of tokens from their nearest neighbors."""
+    """Return the distances of tokens from their nearest neighbors."""
     count = 5
     index = near[..., 1:count].flatten(-2)[..., None]
     index = index.expand(*places.shape[:-2], index.shape[-2], 3)

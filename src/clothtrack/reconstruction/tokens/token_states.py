@@ -1,4 +1,4 @@
-"""States of many garments as tensors, with what the token network is told of each garment."""
+"""States of many garments as tensors, with the token network's input for each garment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,19 +21,19 @@ from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 
 @dataclass(frozen=True, eq=False)
 class TokenStates:
-    """States of garments, one after the other.
+    """States of garments, concatenated.
 
     Attributes:
         positions: vertices of all states in the world [m], z up, the table at z = 0.
-        first: where the vertices of each state begin.
-        garment: the garment of each state.
+        first: index of each state's first vertex.
+        garment: index of each state's garment.
         low, high: least and largest coordinates of each state [m].
-        vertices, faces: how many each garment has.
-        corners: vertices of all faces of all garments; `GarmentTokens` has the rest.
-        vertex_tokens, vertex_shares: of all vertices of all garments.
-        features, token_corners, token_blend, labelings, is_labeling, mirror, neighbors: of the
-            tokens; the corners are those of the face that a token lies on.
-        size_m, layers: of each garment.
+        vertices, faces: number of vertices and faces of each garment.
+        corners: vertices of all faces of all garments. For the fields below see `GarmentTokens`.
+        vertex_tokens, vertex_shares: tokens and shares of all vertices of all garments.
+        features, token_corners, token_blend, labelings, is_labeling, mirror, neighbors: fields of
+            the tokens; the corners are those of the face that a token lies on.
+        size_m, layers: size and number of layers of each garment.
     """
 
     positions: Float[Tensor, "all_vertices 3"]
@@ -57,12 +57,12 @@ class TokenStates:
     layers: Int[Tensor, " garments"]
 
     def __len__(self) -> int:
-        """Number of states."""
+        """Return the number of states."""
         return len(self.first)
 
     @classmethod
     def of(cls, shard: StateShard) -> "TokenStates":
-        """The states of one garment."""
+        """Return the states of one garment."""
         garment, positions = GarmentTokens.of(shard.mesh), shard.positions
         states, vertices = positions.shape[:2]
         faces = np.asarray(shard.mesh.faces)
@@ -91,7 +91,7 @@ class TokenStates:
 
     @classmethod
     def joined(cls, parts: Sequence["TokenStates"]) -> "TokenStates":
-        """All states of several garments, in their order."""
+        """Return all states of several garments, in order."""
         moved, begin, garments = [], 0, 0
         for one in parts:
             moved.append(replace(one, first=one.first + begin, garment=one.garment + garments))
@@ -103,7 +103,7 @@ def read_token_states(sets: Sequence[StateSet]) -> tuple[TokenStates, list[str]]
     """Read folders of states.
 
     Returns:
-        All states, and the digest of each state's garment: by it a garment is held out as a whole.
+        All states, and the digest of each state's garment, which decides what is held out.
 
     Raises:
         InvalidConfigError: there is no state.
@@ -120,6 +120,6 @@ def read_token_states(sets: Sequence[StateSet]) -> tuple[TokenStates, list[str]]
 
 
 def _tensor(values: np.ndarray) -> Tensor:
-    """The same numbers, in single precision and of 64 bits."""
+    """Return the array as a tensor, floats in single precision and integers of 64 bits."""
     kind = {"f": np.float32, "i": np.int64, "u": np.int64}.get(values.dtype.kind)
     return torch.from_numpy(np.array(values, dtype=kind))

@@ -1,4 +1,4 @@
-"""Symmetries of a garment by its outline: names of its tokens under which it looks the same."""
+"""Symmetries of a garment's outline, as permutations of its tokens under which it looks alike."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,14 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 _LABELINGS = 8
-"""Most look-alike labelings that a garment has: a square's."""
+"""Maximum number of symmetries of a garment, that of a square."""
 
 NEARLY_SQUARE = 0.85
-"""Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labelings."""
+"""Ratio of sides above which quarter turns are symmetries, because the sides of a crumpled cloth
+look alike then."""
 
 _ALIKE = 0.9
-"""Outlines whose intersection over union is above this look alike in a crumpled cloth."""
+"""Intersection over union above which outlines look alike in a crumpled cloth."""
 
 _SILHOUETTE_PIXELS = 96
 """Pixels along each side of the pictures in which outlines are compared."""
@@ -22,7 +23,7 @@ _SILHOUETTE_PIXELS = 96
 
 @dataclass(frozen=True, eq=False)
 class Layered:
-    """A flat mesh of one or two layers: side of each vertex, 0 on seams, and of each face."""
+    """A flat mesh of one or two layers, with the side of each vertex (0 on seams) and face."""
 
     flat: Float[np.ndarray, "vertices 2"]
     faces: Int[np.ndarray, "faces 3"]
@@ -33,10 +34,11 @@ class Layered:
 def labelings(
     layered: Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
 ) -> tuple[Int[np.ndarray, "labelings tokens"], Bool[np.ndarray, " labelings"]]:
-    """Names under which the garment looks the same: a sheet's turns, a shirt's turning over.
+    """Return token permutations under which the garment looks alike, such as a half turn.
 
-    A sheet looks alike from both sides; of what is sewn, a mirror image shows the other layer. A
-    symmetry is one of the outline: what it makes of a layer must cover the layer that it becomes.
+    A single sheet looks alike from both sides. For a sewn garment, a mirror image of the outline
+    shows the other layer. An outline symmetry is accepted if the transformed layer covers the layer
+    that it becomes.
     """
     extent = np.ptp(layered.flat, axis=0)
     single = not layered.side.any()
@@ -64,10 +66,10 @@ def labelings(
 def mirrored(
     layered: Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
 ) -> Int[np.ndarray, " tokens"]:
-    """The name of each token in the mirror image of the garment.
+    """Return the token that each token becomes in the mirror image of the garment.
 
-    A mirrored sheet is the same sheet from below, so that an outline without that symmetry keeps
-    its names.
+    A mirrored sheet is the same sheet seen from below. If its outline lacks the mirror symmetry,
+    the tokens are unchanged.
     """
     if not layered.side.any():
         shape = _filled(layered.flat, layered.faces)
@@ -79,7 +81,7 @@ def mirrored(
 def _filled(
     flat: Float[np.ndarray, "vertices 2"], faces: Int[np.ndarray, "faces 3"]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """The silhouette of a flat layer, the garment's extent stretched to a square of pixels."""
+    """Return the silhouette of a flat layer, with its extent stretched to a square of pixels."""
     unit = (flat - flat.min(axis=0)) / np.ptp(flat, axis=0)
     corners = np.rint(unit * (_SILHOUETTE_PIXELS - 1)).astype(np.int32)
     picture = np.zeros((_SILHOUETTE_PIXELS, _SILHOUETTE_PIXELS), np.uint8)
@@ -94,7 +96,7 @@ def named(
     tokens: Float[np.ndarray, "tokens 2"],
     token_sides: Float[np.ndarray, " tokens"],
 ) -> Int[np.ndarray, " asked"]:
-    """The nearest token of the same layer."""
+    """Return the nearest token of the same layer."""
     far = 10.0 * float(np.ptp(tokens, axis=0).max())
     tree = cKDTree(np.column_stack([tokens, far * token_sides]))
     _, nearest = tree.query(np.column_stack([places, far * sides]))

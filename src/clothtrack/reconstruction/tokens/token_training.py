@@ -1,4 +1,4 @@
-"""Trains the token network: on simulated states, from nothing or further, and on pseudo-labels."""
+"""Trains the token network: on simulated states, from scratch or from weights, and on labels."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,29 +34,29 @@ def pretrain_tokens(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train on states of any garments; a second call goes on where the first one stopped.
+    """Train on states of any garments; a second call resumes where the first one stopped.
 
-    Pictures are rendered where the network is. Garments are held out as a whole, by the digest of
-    their states: whatever else is learned from, the same ones are. A second call may add folders of
-    states, or leave some out.
+    Pictures are rendered on the network's device. Garments are held out as a whole, by the digest
+    of their states, so the same ones are held out whatever else is trained on. A second call may
+    add folders of states or leave some out.
 
     Args:
         states: folders of states.
-        config: how, and sizes of the network.
-        folder: gets progress, scalars and `model.safetensors`.
-        start: weights to begin with; the network may have more layers and hypotheses (`grown`).
-        hours: of wall time after which the training pauses; None for no limit.
-        processes: who trains together.
-        progress: called after every step.
+        config: settings of the training, and sizes of the network.
+        folder: folder for progress, scalars and `model.safetensors`.
+        start: start weights; the network may have more layers and other hypotheses (`grown`).
+        hours: wall time after which the training pauses [h]; None for no limit.
+        processes: processes that train together.
+        progress: function called after every step.
 
     Returns:
-        How it ended, and the file with the best weights.
+        The outcome, and the file with the best weights.
 
     Raises:
-        InvalidConfigError: the states are too few, nothing says when the training ends, or worker
-            processes are to render for a GPU.
+        InvalidConfigError: the states are too few, the training has no end, or worker processes
+            are requested to render for a GPU.
         InvalidResultError: states, progress or weights are damaged or of another training.
-        StorageError: when the disk refuses.
+        StorageError: a file cannot be written.
     """
     loop, network = config.tokens, config.network or TokenNetworkConfig()
     if loop.decay == "stable" and hours is None and not loop.fall_examples:
@@ -95,20 +95,20 @@ def finetune_tokens(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train further on pseudo-labels (paper, Sec. III-C); recordings are held out as a whole.
+    """Fine-tune on pseudo-labels (paper, Sec. III-C); recordings are held out as a whole.
 
     Args:
-        start: weights to begin with.
-        labels: labeled recordings; some are held out to select by.
-        config: how.
-        folder: gets progress, scalars and `model.safetensors`.
-        processes: who trains together.
-        progress: called after every step.
+        start: start weights.
+        labels: labeled recordings; some are held out to select the best weights.
+        config: settings of the training.
+        folder: folder for progress, scalars and `model.safetensors`.
+        processes: processes that train together.
+        progress: function called after every step.
 
     Raises:
         InvalidConfigError: there are too few labels.
         InvalidResultError: weights or progress are damaged or do not belong together.
-        StorageError: when the disk refuses.
+        StorageError: a file cannot be written.
     """
     network, training = require_tokens(start), config.tokens
     examples = LabeledTokenExamples(labels, network, seed=training.seed)

@@ -1,7 +1,7 @@
-"""Which example comes when: split by group, order by seed and epoch, batches by step.
+"""The order of training examples: split by group, order by seed and epoch, batches by step.
 
-Everything is a function of seed, epoch and index, so that a resumed run sees what the run that was
-killed would have seen, however many processes make the examples.
+Everything is a function of seed, epoch and index, so that a resumed run sees the same examples as
+an uninterrupted run, for any number of processes that make them.
 """
 
 import os
@@ -28,23 +28,23 @@ class Examples(Protocol):
     """A set of examples, each a function of its index and the epoch."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return the number of examples."""
         ...
 
     def __getitem__(self, draw: Draw) -> Any:
-        """The example, augmented for this epoch."""
+        """Return the example, augmented for this epoch."""
         ...
 
 
 def split_by_group(
     groups: Sequence[Any], held_out_share: float, seed: int
 ) -> tuple[Int[np.ndarray, " training"], Int[np.ndarray, " held_out"]]:
-    """Indices to train on and to hold out; what belongs together stays together.
+    """Return indices to train on and to hold out; examples of one group stay together.
 
     Args:
-        groups: of each example: its trajectory or episode.
+        groups: group of each example, its trajectory or episode.
         held_out_share: share of the groups to hold out; at least one is.
-        seed: of the choice.
+        seed: seed of the choice.
 
     Raises:
         InvalidConfigError: there are fewer than two groups.
@@ -63,39 +63,39 @@ def split_by_group(
 
 
 class Subset:
-    """Some examples of a set."""
+    """A subset of examples."""
 
     def __init__(self, examples: Examples, indices: Int[np.ndarray, " chosen"]) -> None:
         self.examples = examples
         self.indices = indices
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return the number of examples."""
         return len(self.indices)
 
     def __getitem__(self, draw: Draw) -> Any:
-        """The example, augmented for this epoch."""
+        """Return the example, augmented for this epoch."""
         index, epoch = draw
         return self.examples[int(self.indices[index]), epoch]
 
 
 class BatchOrder:
-    """The batches of a run from a step on, this process's part of each.
+    """This process's part of the batches of a run, from a step on.
 
     Attributes:
-        steps: that the run has in all; without end for a rate that stays.
-        start: the first step that is asked for.
+        steps: total steps of the run; unlimited for a "stable" rate.
+        start: first step to iterate from.
         from_step: step at which the examples were last changed.
         first_epoch: number of the epoch that begins there, so that no epoch is drawn twice.
-        processes: who takes part.
+        processes: processes that train together.
 
     Args:
-        count: examples.
+        count: number of examples.
         config: batch size, epochs and seed.
-        processes: who takes part.
+        processes: processes that train together.
 
     Raises:
-        InvalidConfigError: the batch cannot be shared out evenly.
+        InvalidConfigError: the batch cannot be divided evenly among the processes.
     """
 
     def __init__(self, count: int, config: TrainingConfig, processes: Processes) -> None:
@@ -106,7 +106,7 @@ class BatchOrder:
             raise InvalidConfigError(
                 f"batch_size is {self.size} for {processes.count} processes; it must be a multiple"
             )
-        # What is left over after whole batches waits for another epoch's order.
+        # Examples left over after whole batches are skipped in this epoch.
         self.steps_per_epoch = count // self.size
         endless = config.decay == "stable"
         self.steps = sys.maxsize if endless else config.epochs * self.steps_per_epoch
@@ -115,7 +115,7 @@ class BatchOrder:
         self.processes = processes
 
     def __len__(self) -> int:
-        """Steps that are left."""
+        """Return the number of remaining steps."""
         return self.steps - self.start
 
     def epoch(self, step: int) -> int:
@@ -123,7 +123,7 @@ class BatchOrder:
         return self.first_epoch + (step - self.from_step) // self.steps_per_epoch
 
     def __iter__(self) -> Iterator[Sequence[Draw]]:
-        """Each step's examples."""
+        """Iterate over the examples of each step."""
         order = np.zeros(0, np.int64)
         for step in range(self.start, self.steps):
             epoch, position = self.epoch(step), (step - self.from_step) % self.steps_per_epoch
@@ -140,13 +140,13 @@ def loader(
     *,
     workers: int = 0,
 ) -> DataLoader:
-    """Make batches, in this process or in others beside it.
+    """Make batches, in this process or in worker processes.
 
     Args:
-        examples: the set.
-        order: what each batch consists of.
-        collate: examples to a batch.
-        workers: processes, as many as there are cores at most; none: in this one.
+        examples: set of examples.
+        order: draws of each batch.
+        collate: function from examples to a batch.
+        workers: number of worker processes, capped at the number of cores; 0: this process.
     """
     workers = min(workers, _cores())
     return DataLoader(
@@ -154,22 +154,22 @@ def loader(
         batch_sampler=order,
         collate_fn=collate,
         num_workers=workers,
-        # Forks of a process that computes with threads can hang.
+        # Forks of a multithreaded process can hang.
         multiprocessing_context="spawn" if workers else None,
-        # Its own generator: the global one belongs to the network, and is saved with it.
+        # Use a separate generator, because the global one is for the network and saved with it.
         generator=Generator(),
         worker_init_fn=_start,
     )
 
 
 def _cores() -> int:
-    """Processor cores that this process may use; PyTorch warns of more workers."""
+    """Return the number of cores that this process may use; PyTorch warns of more workers."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _start(number: int) -> None:
-    """Begin as the package's other workers do."""
+    """Initialize the worker like the package's other workers."""
     del number
     start_worker()

@@ -1,7 +1,7 @@
-"""Weights on disk: safetensors to share, and the progress of a run to resume it.
+"""Weights on disk: safetensors for sharing, and the progress of a run for resuming it.
 
-Neither can run code: safetensors holds numbers and text, and progress is read by the restricted
-unpickler of PyTorch, which knows tensors and plain containers and refuses everything else.
+Neither file can run code. Safetensors holds numbers and text, and progress is read by the
+restricted unpickler of PyTorch, which accepts only tensors and plain containers.
 """
 
 import hashlib
@@ -32,23 +32,23 @@ _PROGRESS_FORMAT = "clothtrack-training-progress"
 FORMAT_VERSION = 1
 _DESCRIPTION = {"format", "version", "network", "kind", "provenance"}
 PACKAGES = ("torch", "numpy", "safetensors", "warp-lang")
-"""Distributions whose versions are stored with weights that were trained."""
+"""Distributions whose versions are stored with trained weights."""
 
 START = "start"
-"""Key of `data` in a provenance: the runs that led to the weights that a training began with."""
+"""Key of `data` in a provenance, for the runs that led to a training's start weights."""
 
 _REMEDY = "train again, or fetch an undamaged copy"
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """What a weights file holds.
+    """Content of a weights file.
 
     Attributes:
-        path: where it was read.
+        path: path that it was read from.
         tensors: parameters and buffers by name.
         network: the network's configuration, as plain values.
-        kind: the garment that it is for.
+        kind: garment that the network is for.
         provenance: data, seed, commit, hardware, scores.
     """
 
@@ -60,15 +60,15 @@ class Weights:
 
     @property
     def runs(self) -> list[dict[str, Any]]:
-        """The provenance of every run that led to these weights, the first run first."""
+        """Provenance of every run that led to these weights, in order."""
         return _runs(self.provenance)
 
     def load_into(self, module: nn.Module, *, prefix: str = "") -> None:
-        """Give a module these weights, all of them and exactly them.
+        """Load these weights into a module; tensor names must match exactly.
 
         Args:
-            module: of the same configuration.
-            prefix: only tensors whose names begin like this; it is cut off.
+            module: module of the same configuration.
+            prefix: prefix of the names of the tensors to load; it is removed.
 
         Raises:
             InvalidResultError: a tensor is missing, unknown or of another shape.
@@ -82,9 +82,9 @@ class Weights:
 
 
 def _runs(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the runs that weights began with, and their own: none holds another."""
+    """Return earlier runs and the own run of weights as a flat list."""
     start = provenance.get("data", {}).get(START, [])
-    # Older files hold only the last run before, which holds the one before it, and so on.
+    # Older files store only the previous run, which contains the run before it, and so on.
     earlier = start if isinstance(start, list) else _runs(start)
     own = {**provenance, "data": without_start(provenance.get("data", {}))}
     if "phases" in own:
@@ -93,7 +93,7 @@ def _runs(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def without_start(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what was learned from, without the runs before."""
+    """Return the description of the training data, without the earlier runs."""
     return {name: value for name, value in data.items() if name != START}
 
 
@@ -105,17 +105,17 @@ def save_weights(
     kind: str,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write weights as safetensors, whole or not at all.
+    """Write weights as safetensors atomically.
 
     Args:
-        path: the file.
-        tensors: the state of what was trained, by name.
+        path: file to write.
+        tensors: state of the trained module, by name.
         network: its configuration, a dataclass of plain values.
-        kind: the garment that it is for.
+        kind: garment that the network is for.
         provenance: data, seed, commit, hardware, scores.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the file cannot be written.
     """
     copies = {name: value.detach().to("cpu").contiguous() for name, value in tensors.items()}
     metadata = {
@@ -139,7 +139,7 @@ def load_weights(path: Path) -> Weights:
     """Read a weights file; nothing in it is executed.
 
     Raises:
-        InvalidResultError: it is missing, damaged, of another version or something else.
+        InvalidResultError: it is missing, damaged, of another version or not a weights file.
     """
     if not path.is_file():
         raise InvalidResultError(f"{path}: there is no such weights file; check the name")
@@ -171,23 +171,23 @@ def load_weights(path: Path) -> Weights:
 
 
 def is_sealed(path: Path) -> bool:
-    """Whether a whole weights file has a SHA-256; those from before have none."""
+    """Return whether an intact weights file has a SHA-256; older files have none."""
     with safe_open(path, framework="pt") as file:
         return DIGEST in (file.metadata() or {})
 
 
 def weights_digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
-    """SHA-256 of weights and of what describes them, in hexadecimal digits.
+    """Return the SHA-256 of weights and their metadata, in hexadecimal digits.
 
     Args:
-        tensors: by name.
-        metadata: of the file; a digest in it does not count.
+        tensors: tensors by name.
+        metadata: metadata of the file; a digest in it is ignored.
     """
     described = {name: text for name, text in metadata.items() if name != DIGEST}
     digest = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
     for name, value in sorted(tensors.items()):
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
-        # As bytes: NumPy does not know all types of numbers that PyTorch has.
+        # As bytes, because NumPy lacks some number types of PyTorch.
         digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
 
@@ -200,7 +200,7 @@ def _check_digest(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
                 f"{_REMEDY}"
             )
     elif unknown := set(metadata) - _DESCRIPTION:
-        # A digest whose own name is damaged is no missing one.
+        # An unknown field may be a digest with a damaged name, so the file is not accepted.
         raise InvalidResultError(
             f"{path}: its description is damaged (a field is called {min(unknown)!r:.80}); "
             f"{_REMEDY}"
@@ -210,12 +210,12 @@ def _check_digest(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
 
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Give a module weights by name, all of them and exactly them.
+    """Load weights into a module by name; the names must match exactly.
 
     Args:
-        module: what gets them.
-        tensors: by name.
-        path: where they come from, for the message.
+        module: module that receives them.
+        tensors: tensors by name.
+        path: source of the tensors, for the message.
 
     Raises:
         InvalidResultError: a tensor is missing, unknown, of another shape or not finite.
@@ -256,13 +256,13 @@ def check_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) 
 
 
 def save_progress(path: Path, document: Mapping[str, Any]) -> None:
-    """Write tensors and plain values for `load_progress`, whole or not at all.
+    """Write tensors and plain values for `load_progress` atomically.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the file cannot be written.
     """
     content = {"format": _PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
-    # Into memory first: torch answers a full disk with an error of its own.
+    # Save to memory first, because torch raises its own error on a full disk.
     whole = io.BytesIO()
     torch.save(content, whole)
     write_file(path, whole.getbuffer())
@@ -272,11 +272,11 @@ def load_progress(path: Path) -> dict[str, Any]:
     """Read what `save_progress` has written; nothing in it is executed.
 
     Raises:
-        InvalidResultError: it is truncated, hostile, of another version or something else.
+        InvalidResultError: it is truncated, malicious, of another version or not a progress file.
     """
     try:
         with warnings.catch_warnings():
-            # It warns of what it then refuses.
+            # PyTorch warns about content that it then rejects.
             warnings.simplefilter("ignore")
             document = torch.load(path, map_location="cpu", weights_only=True)
     except (

@@ -1,4 +1,4 @@
-"""One process, or several that `torchrun` has started: who does what, who writes, who agrees."""
+"""One process, or several that `torchrun` has started: sharing work, writing, synchronizing."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -19,9 +19,9 @@ class Processes:
     """The processes that train together.
 
     Attributes:
-        rank: number of this one, from 0.
-        count: how many there are.
-        device: where this one computes.
+        rank: number of this process, from 0.
+        count: number of processes.
+        device: compute device of this process.
     """
 
     rank: int = 0
@@ -35,21 +35,21 @@ class Processes:
 
     @property
     def machine(self) -> str:
-        """What computes, in words."""
+        """Description of the hardware."""
         if self.device.startswith("cuda"):
             return f"{self.count} x {torch.cuda.get_device_name(self.device)}"
         return f"a CPU (threads: {self.count * torch.get_num_threads()})"
 
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
-        """This process's part."""
+        """Return this process's part of the items."""
         return items[self.rank :: self.count]
 
     def any(self, flag: bool) -> bool:
-        """Whether the flag is set in any process; all must ask."""
+        """Return whether the flag is set in any process; all processes must call this."""
         return flag if self.count == 1 else any(self.gathered([flag]))
 
     def gathered(self, items: list[Any]) -> list[Any]:
-        """The items of all processes; all must ask."""
+        """Return the items of all processes; all processes must call this."""
         if self.count == 1:
             return items
         parts: list[Any] = [None] * self.count
@@ -57,16 +57,16 @@ class Processes:
         return [one for part in parts for one in part]
 
     def wait(self) -> None:
-        """Wait for the others."""
+        """Wait for the other processes."""
         if self.count > 1:
             distributed.barrier()
 
 
 def require_torch_device(device: str) -> None:
-    """Refuse a device that PyTorch does not have.
+    """Reject a device that PyTorch does not have.
 
     Raises:
-        InvalidConfigError: naming it, and what to do.
+        InvalidConfigError: the device is unknown or unavailable; the message says what to do.
     """
     number = device.removeprefix("cuda").removeprefix(":") or "0"
     if device != "cpu" and not (device.startswith("cuda") and number.isdecimal()):
@@ -85,13 +85,13 @@ def require_torch_device(device: str) -> None:
 
 @contextmanager
 def joined(device: str) -> Iterator[Processes]:
-    """Join the processes that `torchrun` has started; alone without it.
+    """Join the processes that `torchrun` has started; without it, use this process alone.
 
     Args:
-        device: "cpu" or "cuda:0"; with several processes each takes the GPU of its local rank.
+        device: "cpu" or "cuda:0"; with several processes each uses the GPU of its local rank.
 
     Raises:
-        InvalidConfigError: a GPU was asked for and PyTorch sees none.
+        InvalidConfigError: a GPU was requested and PyTorch sees none.
     """
     require_torch_device(device)
     count = int(os.environ.get("WORLD_SIZE", "1"))

@@ -1,4 +1,4 @@
-"""What is trained: a module with a loss, and measures of its own."""
+"""The interface of what is trained: a module with a loss and its own measures."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -8,15 +8,15 @@ from torch import Tensor, nn
 
 
 class Stage(nn.Module, ABC):
-    """What is trained: a module whose call gives the scalars of a batch, "loss" among them.
+    """A trainable module whose call returns the scalars of a batch, including "loss".
 
     Attributes:
-        name: of the stage.
-        score: the measure that selects; lower is better.
-        unit: of that measure.
+        name: name of the stage.
+        score: name of the measure that selects the best weights; lower is better.
+        unit: unit of that measure.
         network: configuration of the networks, stored with the weights.
-        kind: the garment, stored with the weights.
-        trained: the part whose parameters change, and which the weights file holds.
+        kind: garment, stored with the weights.
+        trained: part whose parameters change and that the weights file holds.
     """
 
     name: str
@@ -28,4 +28,4 @@ class Stage(nn.Module, ABC):
 
     @abstractmethod
     def measure(self, batch: Any) -> Mapping[str, Tensor]:
-        """Errors against the truth, one number per example; no gradients."""
+        """Return errors against ground truth, one number per example; no gradients."""

@@ -1,4 +1,4 @@
-"""How long, how fast and on what a stage is trained."""
+"""The settings of a training run: duration, learning rate, batches and evaluation."""
 
 import math
 from dataclasses import dataclass
@@ -10,38 +10,37 @@ from clothtrack.files.bounds import Checked, Count, Fraction, Natural, NotNegati
 
 @dataclass(frozen=True)
 class TrainingConfig(Checked):
-    """One run of the loop.
+    """Settings of one run of the training loop.
 
     Attributes:
-        epochs: passes over the training examples, at most.
+        epochs: maximum number of passes over the training examples.
         batch_size: examples per step, over all processes.
-        low_rate: learning rate of Adam, or the lowest of its cycle.
-        high_rate: the highest rate of the triangular cycle; the same as `low_rate`: constant.
-        rise_epochs: epochs over which the rate climbs from the lowest to the highest.
-        decay: what the rate does after its rise: down and up again in a triangle (L. N. Smith,
-            2017), down once over all epochs that are left, as a cosine (I. Loshchilov, F. Hutter,
-            2017), or "stable": it stays, for as long as the run is given time, and falls once at
-            the end (S. Hu et al., arXiv 2404.06395, Sec. 4).
-        rise_examples: "stable": examples over which the rate climbs. Long enough for the moments
-            of Adam, which a start from weights alone begins at zero.
-        fall_examples: "stable": when above 0, the rate falls to the lowest over so many examples,
-            from the step at which this is first asked for, and the run ends there.
-        average_examples: examples over which the exponential average of the weights reaches back;
-            the average is what is measured and kept. 0: no average.
-        gradient_limit: gradients are scaled to this norm at most; 0: as they are.
-        freeze_statistics: batch norms keep the statistics that they have (fine-tuning on few
-            examples spoils them).
-        held_out_share: share of the groups (episodes, trajectories) that selects and is never
-            trained on; the paper's 9:1.
+        low_rate: learning rate of Adam, or the lowest of its schedule.
+        high_rate: highest learning rate of the schedule; if equal to `low_rate`, it is constant.
+        rise_epochs: epochs over which the rate rises from the lowest to the highest.
+        decay: schedule after the rise: "triangle" falls and rises again (L. N. Smith, 2017);
+            "cosine" falls once over all remaining epochs (I. Loshchilov, F. Hutter, 2017);
+            "stable" stays constant for as long as the run is given time and falls once at the end
+            (S. Hu et al., arXiv 2404.06395, Sec. 4).
+        rise_examples: "stable": examples over which the rate rises. This is long enough for the
+            moments of Adam, which are zero when a run starts from weights alone.
+        fall_examples: "stable": if above 0, the rate falls to the lowest over this many examples,
+            from the step at which this is first set, and the run ends there.
+        average_examples: time constant [examples] of the exponential average of the weights; the
+            average is measured and saved. 0: no average.
+        gradient_limit: maximum gradient norm, enforced by scaling; 0: no limit.
+        freeze_statistics: batch norms keep their statistics (fine-tuning on few examples spoils
+            them).
+        held_out_share: share of the groups (episodes, trajectories) that selects the best weights
+            and is never trained on; the paper's 9:1.
         evaluate_epochs: epochs between two measurements on the held-out examples.
         evaluate_examples: "stable": examples between two measurements; epochs are not counted.
         patience: measurements without an improvement after which training stops; 0: never.
         log_steps: steps between two lines of training scalars.
-        save_steps: steps between two saves of the progress; it is saved with every measurement
-            too.
-        bfloat16: compute in half precision where it is safe; only for processors that have it.
-        workers: processes that make examples; 0 makes them in the loop.
-        seed: of weights, order and everything random in the examples.
+        save_steps: steps between two saves of the progress, which every measurement saves too.
+        bfloat16: compute in half precision where it is safe; only for processors that support it.
+        workers: number of processes that make examples; 0 makes them in the loop.
+        seed: seed of weights, order and all randomness in the examples.
     """
 
     epochs: Count = 100
@@ -66,10 +65,10 @@ class TrainingConfig(Checked):
     seed: Natural = 0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be trained.
+        """Reject invalid settings.
 
         Raises:
-            InvalidConfigError: with the field, its value and the limit.
+            InvalidConfigError: a field is out of bounds; states the field, its value and the limit.
         """
         super().__post_init__()
         if self.low_rate > self.high_rate:
@@ -79,18 +78,18 @@ class TrainingConfig(Checked):
             )
 
     def rate(self, step: int, steps_per_epoch: int, *, falls_from: int | None = None) -> float:
-        """Return the learning rate at a step, a function of the step and nothing else.
+        """Return the learning rate at a step.
 
         Args:
-            step: steps done.
-            steps_per_epoch: not used by a "stable" rate.
-            falls_from: step from which a "stable" rate falls; None while it stays.
+            step: number of completed steps.
+            steps_per_epoch: steps per epoch; unused by a "stable" rate.
+            falls_from: step from which a "stable" rate falls; None while it is constant.
         """
         if self.decay == "stable":
             height = min(1.0, step * self.batch_size / self.rise_examples)
             if falls_from is not None:
                 fallen = (step - falls_from) * self.batch_size / max(1, self.fall_examples)
-                # 1 - sqrt loses least (A. Haegele et al., arXiv 2405.18392, Sec. 4).
+                # 1 - sqrt gives the lowest loss (A. Haegele et al., arXiv 2405.18392, Sec. 4).
                 height *= 1.0 - math.sqrt(min(1.0, max(0.0, fallen)))
             return self.low_rate + (self.high_rate - self.low_rate) * height
         rise = max(1.0, self.rise_epochs * steps_per_epoch)

@@ -1,4 +1,4 @@
-"""Every scalar of a training run: one JSON object per line, and TensorBoard where it is there."""
+"""The log of a training run's scalars: one JSON object per line, and TensorBoard if installed."""
 
 import json
 from collections.abc import Mapping
@@ -13,14 +13,14 @@ SCALARS = "scalars.jsonl"
 
 
 class TrainingLog:
-    """Writes scalars as they come; a resumed run continues where the saved progress was.
+    """Log of scalars; a resumed run continues it from the saved progress.
 
     Args:
-        folder: of the run; gets `scalars.jsonl` and TensorBoard's event files.
-        last_step: lines after this step are of work that was lost with a kill; they are removed.
+        folder: folder of the run; receives `scalars.jsonl` and TensorBoard's event files.
+        last_step: step of the saved progress; lines after it belong to lost work and are removed.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the log cannot be written.
     """
 
     def __init__(self, folder: Path, *, last_step: int = 0) -> None:
@@ -33,7 +33,7 @@ class TrainingLog:
         self._board = _tensorboard(folder, last_step)
 
     def __enter__(self) -> "TrainingLog":
-        """The log itself."""
+        """Return the log itself."""
         return self
 
     def __exit__(
@@ -52,9 +52,9 @@ class TrainingLog:
 
         Args:
             split: "train" or "held_out".
-            step: steps done.
-            epoch: the epoch that they were done in.
-            scalars: by name.
+            step: number of completed steps.
+            epoch: epoch of the step.
+            scalars: scalars by name.
         """
         line = {"step": step, "epoch": epoch, "split": split, **scalars}
         self._file.write(json.dumps(line) + "\n")
@@ -65,7 +65,7 @@ class TrainingLog:
 
 
 def read_scalars(folder: Path) -> list[dict[str, Any]]:
-    """The lines that a run has written, in order; a line cut short by a kill is left out."""
+    """Return the lines that a run has written, in order, without one truncated by a kill."""
     lines = []
     for text in (folder / SCALARS).read_text(encoding="utf-8").splitlines():
         try:
@@ -85,10 +85,10 @@ def _cut(path: Path, last_step: int) -> None:
 
 
 def _tensorboard(folder: Path, last_step: int) -> Any:
-    """TensorBoard's writer, or None where it is not installed."""
+    """Return TensorBoard's writer, or None if it is not installed."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         return None
-    # Whatever a lost run has written after this step is not shown.
+    # Hide events that a lost run wrote after this step.
     return SummaryWriter(str(folder), purge_step=last_step + 1)

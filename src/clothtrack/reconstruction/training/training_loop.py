@@ -1,4 +1,4 @@
-"""The training loop: one for all networks, resumable to the same bits, under torchrun or alone."""
+"""The training loop of all networks, resumable bit for bit, under torchrun or alone."""
 
 import math
 import signal
@@ -38,33 +38,33 @@ def train(
     progress: Progress | None = None,
     hours: float | None = None,
 ) -> TrainingOutcome:
-    """Train a stage, or go on where an earlier run in this folder stopped.
+    """Train a stage, or resume an earlier run in this folder.
 
-    After a kill the continued run arrives at the same weights, bit by bit on a CPU with the same
-    number of threads. The weights that are kept are those with the lowest score on the held-out
-    examples, before the first step too: training that helps nothing changes nothing.
+    A run resumed after a kill ends with the same weights, bit for bit on a CPU with the same number
+    of threads. The saved weights are those with the lowest score on the held-out examples. The
+    start weights compete too, so a training that does not help changes nothing.
 
-    A run whose rate stays ("stable") may be given other examples when it goes on: what it learned
-    from is listed in the weights' provenance, and its held-out examples are measured anew.
+    A run with a "stable" rate may be resumed with other examples. The weights' provenance lists all
+    data of the training, and the new held-out examples are measured from the start.
 
     Args:
-        stage: on the device of its process.
-        examples: to train on.
-        held_out: to select by; always drawn for epoch 0.
-        config: how.
-        folder: gets the progress, the best weights and every scalar.
-        collate: examples to a batch with a method `to(device)`.
-        data: what the examples are made of; stored, and must be the same to resume.
-        processes: who trains together; alone by default.
-        progress: called after every step.
-        hours: of wall time after which the run pauses; None for no limit.
+        stage: stage on the device of its process.
+        examples: examples to train on.
+        held_out: examples that select the best weights; always drawn for epoch 0.
+        config: settings of the training.
+        folder: folder for the progress, the best weights and every scalar.
+        collate: function from examples to a batch with a method `to(device)`.
+        data: description of the examples' source; stored, and must be the same to resume.
+        processes: processes that train together; this one alone by default.
+        progress: function called after every step.
+        hours: wall time after which the run pauses [h]; None for no limit.
 
     Raises:
         InvalidResultError: the folder's progress is damaged or of another stage or preset, or no
             measurement was finite.
-        InvalidConfigError: it is of other settings or data, another process is at work in it, or
-            the loss is not finite.
-        StorageError: when the disk refuses.
+        InvalidConfigError: it is of other settings or data, another process is using it, or the
+            loss is not finite.
+        StorageError: a file cannot be written.
     """
     together = processes or Processes(device=str(next(stage.parameters()).device))
     order = BatchOrder(len(examples), config, together)
@@ -120,7 +120,7 @@ class _Measurement:
         self._processes = processes
 
     def __call__(self, stage: Stage) -> Mapping[str, float]:
-        """The means, by name."""
+        """Return the means by name."""
         stage.eval()
         found: list[dict[str, np.ndarray]] = []
         with torch.no_grad():
@@ -133,24 +133,24 @@ class _Measurement:
 
 
 class _Termination:
-    """Whether the system has asked us to stop."""
+    """Flag that is set when the system asks the process to stop."""
 
     is_set = False
 
     def note(self, number: int, frame: object) -> None:
-        """Remember it; the step at hand is finished first."""
+        """Set the flag; the current step is finished first."""
         del number, frame
         self.is_set = True
 
 
 @contextmanager
 def _termination_noted() -> Iterator[_Termination]:
-    """SIGTERM (a scheduler's time limit, a container that stops) ends the run after its step."""
+    """Make SIGTERM (a scheduler's limit, a stopping container) end the run after its step."""
     termination = _Termination()
     try:
         before = signal.signal(signal.SIGTERM, termination.note)
     except ValueError:
-        # Not the main thread: whoever started us takes care of signals.
+        # Not the main thread, so the caller must handle signals.
         yield termination
         return
     try:
@@ -164,7 +164,7 @@ def _show_nothing(place: str, done: int, total: int) -> None:
 
 
 def _how_far(run: TrainingRun, elapsed_s: float, limit_s: float) -> tuple[int, int]:
-    """Return how much is done and in all: of the time where there is a limit, else of the steps."""
+    """Return done and total: of the time if there is a limit, else of the steps."""
     if math.isfinite(limit_s):
         return round(elapsed_s), math.ceil(limit_s)
     return run.step, run.order.steps if run.order.steps < sys.maxsize else 0

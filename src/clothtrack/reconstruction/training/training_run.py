@@ -1,4 +1,4 @@
-"""The state of a training: its steps, the average of its weights, and its way to the disk."""
+"""The state of a training: its steps, the average of its weights, saving and resuming."""
 
 import logging
 import math
@@ -36,24 +36,25 @@ WEIGHTS = "best.safetensors"
 _MAY_CHANGE = (
     "epochs", "patience", "log_steps", "save_steps", "workers", "evaluate_examples", "fall_examples"
 )  # fmt: skip
-"""Settings that a resumed run may have otherwise: what was done so far does not depend on them."""
+"""Settings that may differ in a resumed run, because the steps done so far do not depend on
+them."""
 
 Status = Literal["finished", "converged", "paused", "interrupted"]
 
 
 @dataclass(frozen=True)
 class TrainingOutcome:
-    """How a run ended.
+    """Outcome of a run.
 
     Attributes:
-        status: "finished" its epochs or its fall, "converged" (no improvement any more), "paused"
-            when its time was over, or "interrupted".
-        steps: done so far.
-        best_score: the lowest score on the held-out examples.
-        best_step: after how many steps that was.
-        weights: file with the weights of that step; None when nothing was measured yet.
-        cpu_s: CPU time of this process and of those it goes on from [s].
-        unit: of the score.
+        status: "finished" (all epochs or the fall of the rate), "converged" (no more improvement),
+            "paused" (time limit reached) or "interrupted".
+        steps: number of steps done so far.
+        best_score: lowest score on the held-out examples.
+        best_step: number of steps after which it was reached.
+        weights: file with the weights of that step; None if nothing was measured yet.
+        cpu_s: CPU time of this process and of the runs that it resumes [s].
+        unit: unit of the score.
     """
 
     status: Status
@@ -66,20 +67,20 @@ class TrainingOutcome:
 
 
 class TrainingRun:
-    """What changes while a stage is trained, and its way to the disk and back.
+    """State of a stage's training, with saving and resuming.
 
     Attributes:
-        step: steps done.
+        step: number of steps done.
         is_judged: whether the weights were measured after the last step.
-        averaged: what is measured and kept: the stage with averaged weights, or the stage itself.
-        phases: what was learned from, since which step; more than one where examples were changed.
+        averaged: stage that is measured and saved: with averaged weights, or the stage itself.
+        phases: training data and first step of each phase; more than one if examples were changed.
 
     Args:
-        stage: is trained.
-        order: of its examples; is told where the last phase began.
-        config: how.
-        folder: of the progress and the weights.
-        data: what the examples are made of.
+        stage: stage to train.
+        order: order of its examples; the start of the last phase is set on it.
+        config: settings of the training.
+        folder: folder of the progress and the weights.
+        data: description of the examples' source.
     """
 
     def __init__(
@@ -113,17 +114,17 @@ class TrainingRun:
             )
         alone = self.processes.count == 1
         self.model = stage if alone else DistributedDataParallel(stage)
-        # Each process draws its own numbers from here on, and the same in every run.
+        # From here on each process has its own random numbers, which are the same in every run.
         torch.manual_seed(config.seed * 1_000_003 + self.processes.rank)
 
     @property
     def cpu_s(self) -> float:
-        """CPU time [s] of all runs that have brought the training here."""
+        """CPU time [s] of all runs of this training."""
         return time.process_time() - self._clock
 
     @property
     def averaged(self) -> Stage:
-        """What is measured and kept: the stage with averaged weights, or the stage itself."""
+        """Stage that is measured and saved: with averaged weights, or the stage itself."""
         return self.stage if self._average is None else cast("Stage", self._average.module)
 
     @property
@@ -136,7 +137,7 @@ class TrainingRun:
 
     @property
     def place(self) -> str:
-        """Where the run is, in words."""
+        """Progress of the run, in words."""
         if self.order.steps == sys.maxsize:
             return f"{self.stage.name}: {self.step * self.order.size} examples"
         return f"{self.stage.name}: step {self.step}/{self.order.steps}"
@@ -147,10 +148,10 @@ class TrainingRun:
         return 0 < self.config.patience <= self.stale
 
     def advance(self, batch: Any) -> Mapping[str, Tensor]:
-        """One step of Adam; the scalars of its batch.
+        """Do one step of Adam and return the scalars of its batch.
 
         Raises:
-            InvalidConfigError: when the loss is no number; no parameter has changed then.
+            InvalidConfigError: the loss is not finite; no parameter has changed then.
         """
         self.stage.train()
         rate = self.config.rate(self.step, self.order.steps_per_epoch, falls_from=self.falls_from)
@@ -162,7 +163,7 @@ class TrainingRun:
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bfloat16):
             scalars = self.model(batch.to(device))
         if not np.isfinite(loss := float(scalars["loss"].detach())):
-            # Seen before it gets into the weights: the last progress on disk stays sound.
+            # Checked before the weights change, so the last progress on disk stays valid.
             raise InvalidConfigError(
                 f"the loss of {self.stage.name} is {loss} after step {self.step}; lower high_rate "
                 f"({self.config.high_rate}) and start again from the last progress"
@@ -182,13 +183,13 @@ class TrainingRun:
         return {"rate": torch.tensor(rate), **scalars}
 
     def note(self, scalars: Mapping[str, Tensor], log: TrainingLog | None) -> None:
-        """Write the scalars of a step, if it is one of those that are logged."""
+        """Write the scalars of a step, if it is a logged step."""
         if log is not None and (self.step % self.config.log_steps == 0 or self.step == 1):
             values = {name: float(value.detach()) for name, value in scalars.items()}
             log.write("train", self.step, self.order.epoch(self.step - 1), values)
 
     def judge(self, measures: Mapping[str, float], log: TrainingLog | None) -> None:
-        """Keep the weights if they are the best so far; save the progress in any case."""
+        """Save the weights if they are the best so far; save the progress in any case."""
         self.is_judged = True
         score = measures[self.stage.score]
         if score < self.best_score:
@@ -244,13 +245,13 @@ class TrainingRun:
         self.processes.wait()
 
     def resume(self) -> None:
-        """Take up the progress in the folder, if there is some."""
+        """Resume from the progress in the folder, if there is any."""
         path = self.folder / PROGRESS
         if not path.exists():
             return
         document = load_progress(path)
         identity = self._identity()
-        # Sizes by level are tuples in the progress, and lists in what is compared with.
+        # Sizes by level are tuples in the progress, and lists in the identity to compare with.
         stored = as_plain({name: document.get(name) for name in identity})
         require_same(path, stored, identity)
         try:
@@ -274,7 +275,7 @@ class TrainingRun:
         logger.info("%s: going on after step %d", path, self.step)
 
     def _go_on_from(self, phases: list[dict[str, Any]]) -> None:
-        """Take up the examples of the last phase, or begin another one with other examples."""
+        """Continue the last phase, or begin a new one if the examples have changed."""
         now, last = self.phases[0], phases[-1]
         per_epoch = last["examples"] // self.order.size
         if now["data"] == last["data"]:
@@ -283,14 +284,14 @@ class TrainingRun:
             begun = -(-(self.step - last["from_step"]) // per_epoch)
             epoch = last["first_epoch"] + begun
             self.phases = [*phases, {**now, "from_step": self.step, "first_epoch": epoch}]
-            # Other examples are held out: what was best on the last ones says nothing here.
+            # Other examples are held out, so the best score on the old ones is not comparable.
             self.best_score, self.stale = float("inf"), 0
             logger.info("%s: other examples from step %d on", self.folder, self.step)
         self.order.from_step = self.phases[-1]["from_step"]
         self.order.first_epoch = self.phases[-1]["first_epoch"]
 
     def plan_fall(self) -> None:
-        """Let a stable rate fall from here on, where that is asked for."""
+        """Start the fall of a "stable" rate at this step, if it is requested."""
         if self.config.decay != "stable":
             return
         if self.config.fall_examples:
@@ -310,12 +311,12 @@ class TrainingRun:
             "kind": self.stage.kind,
             "network": asdict(self.stage.network),
             "training": training,
-            # A run whose rate stays may go on with other examples.
+            # A run with a "stable" rate may be resumed with other examples.
             "data": None if self.config.decay == "stable" else self.phases[-1]["data"],
         }
 
     def outcome(self, status: Status) -> TrainingOutcome:
-        """How it ended."""
+        """Return the outcome of the run."""
         weights = self.folder / WEIGHTS
         best = weights if np.isfinite(self.best_score) else None
         return TrainingOutcome(
@@ -330,7 +331,7 @@ class TrainingRun:
 
 
 def freeze_statistics(module: nn.Module) -> None:
-    """Let batch norms use, and keep, the mean and variance that they have."""
+    """Make batch norms use their current mean and variance without updating them."""
     for part in module.modules():
         if isinstance(part, nn.modules.batchnorm._BatchNorm):
             part.eval()
