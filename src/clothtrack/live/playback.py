@@ -82,11 +82,16 @@ class Latencies:
             self.each_s.append(state.latency_s)
         self.dropped = state.dropped
 
+    @property
+    def served(self) -> int:
+        """Number of processed pictures."""
+        return len(self.each_s) + (not math.isnan(self.first_s))
+
     def text(self) -> str:
         """Return median, 95th percentile and dropped pictures in one line."""
-        served = len(self.each_s) + (not math.isnan(self.first_s))
-        share = 100.0 * self.dropped / max(served + self.dropped, 1)
-        words = f"{self.dropped} of {served + self.dropped} pictures dropped ({share:.0f} %)"
+        arrived = self.served + self.dropped
+        share = 100.0 * self.dropped / max(arrived, 1)
+        words = f"{self.dropped} of {arrived} pictures dropped ({share:.0f} %)"
         if not self.each_s:
             return f"{words}, first mesh after {self.first_s:.2f} s"
         median, most = 1e3 * np.percentile(self.each_s, [50, 95])
@@ -103,6 +108,6 @@ class Latencies:
             "median_s": median,
             "p95_s": most,
             "first_mesh_s": self.first_s,
-            "served": len(self.each_s) + 1,
+            "served": self.served,
             "dropped": self.dropped,
         }

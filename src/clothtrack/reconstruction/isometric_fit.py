@@ -272,7 +272,6 @@ class IsometricFit:
         target[lone] = points[cloth.tree.query(vertices[lone])[1]]
         weight = np.zeros(count)
         weight[visible] = DRAWN
-        weight[number > 0] = DRAWN
         return weight, target
 
 

@@ -196,7 +196,7 @@ class Search:
 
     def _descended(self, start: Try, kind: str) -> Try:
         """Return the best try near a size, by alternating parabola fits over size and aspect."""
-        cut, best = start.garment, start
+        cut = start.garment
 
         def asked(place: Float[np.ndarray, " 2"]) -> Try:
             size, aspect = np.exp(place)

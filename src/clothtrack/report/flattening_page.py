@@ -1,6 +1,7 @@
 """One offline page per flattening episode: pictures with the next action's arrow, and the curve.
 
-An episode with a control is labeled as such at the top, in the title and in every figure.
+An episode with a control is labeled as such at the top, in the title, at each perceived mesh and in
+every picture of the film strip.
 """
 
 import time
@@ -91,10 +92,12 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
         StorageError: the disk refuses.
     """
     width, height = 320, 240
+    control = ", control" if store.document["asked"]["label"]["control"] else ""
     tiles = []
     for number, row in enumerate(store.steps):
         shown = cv2.resize(_picture(store, number), (width, height), interpolation=cv2.INTER_AREA)
-        tiles.append(np.vstack([shown, caption(width, f"after {number}", _share(row), height=24)]))
+        words = caption(width, f"after {number}{control}", _share(row), height=24)
+        tiles.append(np.vstack([shown, words]))
     blank = np.full_like(tiles[0], 255)
     tiles += [blank] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
