@@ -1,9 +1,9 @@
 """Contact between vertices and triangles on a CPU: one thread pushes all pairs of an environment.
 
-The same impulses as `triangle_push_kernels.pair_impulse` gives, to the bit, but written in C++,
-where four pairs are asked at once by vector instructions. One at a time, a pair waits for two
-square roots and five divisions, each for the one before. The impulses are then added one after the
-other, in the order of the list: two pairs may push the same vertex.
+The impulses equal those of `triangle_push_kernels.pair_impulse` to the bit. The code is C++, where
+vector instructions handle four pairs at once. A single pair would need two square roots and five
+divisions, each of which waits for the one before. The impulses are then added one after another in
+the order of the list, because two pairs may push the same vertex.
 """
 
 from typing import no_type_check
@@ -15,7 +15,7 @@ from clothtrack.simulation.kernels import Clock, nth
 wp.set_module_options({"enable_backward": False})
 
 Received = wp.types.vector(length=8, dtype=wp.float32)
-"""What a vertex has got, in two registers: moving, sum of shares; stopping, nothing."""
+"""Impulses that a vertex received, in two registers: moving, sum of shares; stopping, unused."""
 
 
 @no_type_check
@@ -29,10 +29,10 @@ def list_in_a_row(
     keeps: wp.array2d(dtype=wp.vec2),
     totals: wp.array(dtype=int),
 ):
-    """List an environment's pairs one behind the other, so that four of them can be fetched.
+    """List an environment's pairs consecutively, so that four of them can be loaded at once.
 
-    A pair is its vertex and the corners of its triangle, and its side (1 or -1) and distance [m].
-    Pairs without a side, which push nothing, fill up the last four.
+    A pair consists of its vertex and the corners of its triangle, its side (1 or -1) and its
+    distance [m]. Pairs without a side, which push nothing, pad the last four.
     """
     environment = wp.tid()
     total = int(0)
@@ -180,7 +180,7 @@ def _push_pairs(
     start: wp.array(dtype=wp.vec3),
     received: wp.array(dtype=Received),
 ):
-    """Add what each pair does to its vertex and to the corners; see `pair_impulse`."""
+    """Add the impulses of each pair to its vertex and to the corners; see `pair_impulse`."""
 
 
 @no_type_check
@@ -200,7 +200,7 @@ def scatter_impulses(
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
 ):
-    """What `find_impulses` and `gather_impulses` do, by one thread per environment."""
+    """Do the work of `find_impulses` and `gather_impulses` with one thread per environment."""
     environment = wp.tid()
     mass = inverse_masses[environment]
     got = received[environment]
