@@ -56,7 +56,7 @@ class SolverConfig(Checked):
         thickness_m: distance between layers [m]; a vertex rests half of it above the table.
         substep_s: longest substep [s]; contacts and the table are solved once per substep.
         area_density: mass per area [kg/m^2].
-        gravity: acceleration of the whole scene [m/s^2]; add a draught or a tilted camera here.
+        gravity: acceleration of the whole scene [m/s^2]; add a draft or a tilted camera here.
         damping: rate at which a free vertex loses speed to the air [1/s].
         sleep_speed: a vertex that recently touched something and is slower than this [m/s] does not
             move (FleX's sleep threshold, only for vertices that are supported and not pulled).
