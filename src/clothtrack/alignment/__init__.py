@@ -1,4 +1,4 @@
-"""Mesh to cloud: test-time optimization, nearest points, outlines."""
+"""Alignment of a mesh to a cloud: test-time optimization, nearest points, outlines."""
 
 from typing import TYPE_CHECKING
 

@@ -1,9 +1,10 @@
-"""Test-time optimization: the small correction of every vertex that explains the cloud.
+"""Test-time optimization: compute a small correction of every vertex that fits the mesh to a cloud.
 
-This is the paper's TTO1 (before the pseudo-action, Eq. 1 and 2) and TTO2 (after the last frame):
-a displacement per vertex, starting at zero, that minimizes the mean squared distance of the cloud
-to the visible vertices plus a rigidity that carries hidden vertices along. Two terms are ours:
-visible vertices look for the cloud as well, and edges keep the rest length of the first mesh.
+This is the paper's TTO1 (before the pseudo-action, Eq. 1 and 2) and TTO2 (after the last frame).
+It computes a displacement per vertex, starting at zero. The displacement minimizes the mean squared
+distance of the cloud to the visible vertices plus a rigidity term that moves hidden vertices along.
+Two terms are ours: the distance of visible vertices to the cloud, and the deviation of edges from
+the rest lengths of the first mesh.
 """
 
 from collections.abc import Mapping
@@ -32,11 +33,11 @@ __all__ = ["Alignment", "AlignmentConfig", "CloudAligner", "Marks"]
 
 @dataclass(frozen=True)
 class AlignmentConfig(TermWeights):
-    """The objective, whose weights are those of `TermWeights`, and how it is minimized.
+    """Objective with the weights of `TermWeights`, and settings of its minimization.
 
     Attributes:
         solver: "adam" is `Adam`, as in the paper; "icp" is `GaussNewton`.
-        iterations: of the solver, at most.
+        iterations: maximum iterations of the solver.
         icp_inner: `GaussNewton.inner`.
         icp_momentum: `GaussNewton.momentum`.
         icp_damping: `GaussNewton.damping`.
@@ -62,11 +63,11 @@ class AlignmentConfig(TermWeights):
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Places where followed points of the pictures want vertices.
+    """Vertex targets given by points that are followed in the pictures.
 
     Attributes:
-        wanted: places [m], world frame; ignored where the weight is 0.
-        weight: number of followed points that want each vertex there.
+        wanted: targets [m], world frame; ignored if the weight is 0.
+        weight: number of followed points that contribute to each target.
     """
 
     wanted: Float[np.ndarray, "vertices 3"]
@@ -75,15 +76,15 @@ class Marks:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """What an alignment found.
+    """Result of an alignment.
 
     Attributes:
         corrections: displacement of every vertex [m], world frame.
         losses: objective [m^2] at the start and after every iteration.
         terms: the same per weighted term, by the names of `TERMS`.
-        iterations: iterations done.
-        reason: why it ended: "iterations", all of them; "tolerance", before; or "no points", "no
-            visible vertex" or "not finite", in which cases the corrections are zero.
+        iterations: number of iterations done.
+        reason: why it ended: "iterations": all were done; "tolerance": converged before; or "no
+            points", "no visible vertex" or "not finite", with zero corrections.
     """
 
     corrections: Float[np.ndarray, "vertices 3"]
@@ -94,10 +95,10 @@ class Alignment:
 
 
 class CloudAligner:
-    """Aligns one cloth to clouds; topology and rest lengths are prepared once.
+    """Aligner of one cloth to clouds; topology and rest lengths are prepared once.
 
     Args:
-        mesh: the flat first mesh; its edges give the rigidity's pairs and the rest lengths.
+        mesh: the flat first mesh; its edges give the pairs of the rigidity and the rest lengths.
         config: objective and solver.
         device: Warp device, "cpu" or "cuda:0".
     """
@@ -127,21 +128,21 @@ class CloudAligner:
         rest_height_m: float = 0.0,
         marks: Marks | None = None,
     ) -> Alignment:
-        """Correct the vertices towards the cloud.
+        """Compute corrections of the vertices toward the cloud.
 
         Args:
-            positions: the mesh as predicted [m], world frame.
+            positions: the predicted mesh [m], world frame.
             observation_points: the cloud [m], world frame.
             visible: vertices that a cloud point can belong to.
-            trusted: visible vertices whose absence from the cloud means something: only they look
-                for a cloud point themselves. All visible ones when None.
+            trusted: visible vertices whose absence from the cloud is evidence; only they are also
+                matched to their nearest cloud point. None: all visible ones.
             table: the plane that the cloth cannot pass, or None.
             rest_height_m: height of a vertex that lies on the table [m].
-            marks: where followed points want vertices.
+            marks: vertex targets from followed points.
 
         Returns:
-            The corrections and how the objective fell; zero corrections, with the reason, when
-            there is nothing to align or the numbers ran away.
+            The corrections and the objective over the iterations; zero corrections, with the
+            reason, if there is nothing to align or the result is not finite.
         """
         if not len(observation_points) or not visible.any():
             reason = "no visible vertex" if len(observation_points) else "no points"
@@ -176,9 +177,9 @@ class CloudAligner:
         rest_height_m: float = 0.0,
         marks: Marks | None = None,
     ) -> tuple[float, Float[np.ndarray, "vertices 3"]]:
-        """The objective [m^2] and its gradient [m] at a displacement [m], matches held fixed.
+        """Return the objective [m^2] and its gradient [m] at a displacement [m], at fixed matches.
 
-        The arguments are those of `align`; the matches are the ones at the displaced vertices.
+        The arguments are those of `align`; the matches are computed at the displaced vertices.
         """
         problem = self._problem(
             positions, observation_points, visible, trusted,
@@ -217,7 +218,7 @@ class CloudAligner:
             trusted = np.zeros_like(visible)
         if config.marks_weight == 0.0:
             marks = None
-        # Single precision keeps micrometers only near the origin.
+        # Center the data: single precision resolves micrometers only near the origin.
         center = positions.mean(axis=0, dtype=np.float64)
         initial = self._array((positions - center).astype(np.float32), wp.vec3)
         cloud = self._array((points - center).astype(np.float32), wp.vec3)

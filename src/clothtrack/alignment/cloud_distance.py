@@ -1,4 +1,4 @@
-"""How far a mesh is from a cloud, and which points of a cloud can be of this cloth."""
+"""Distance between a mesh and a cloud, and selection of cloud points near the mesh."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from clothtrack.recordings.point_cloud import Observation
 
 _MOST_CUBES = 1 << 20
-"""Vertices that are spread over more cubes than this keep every point beside them."""
+"""If the vertices extend over more cubes than this, `beside` keeps every point."""
 
 
 def within_reach(
@@ -27,9 +27,9 @@ def within_reach(
 def _share_a_cube(
     points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], side_m: float
 ) -> Bool[np.ndarray, " points"]:
-    """Return points that are in one cube of a grid with some vertex: no farther than its diagonal.
+    """Return points that share a grid cube with a vertex, at most its diagonal away.
 
-    Most points of a tracked cloth are, and need no search.
+    This holds for most points of a tracked cloth, which then need no search.
     """
     origin = vertices.min(axis=0)
     cells = np.floor((vertices - origin) / side_m).astype(np.int64)
@@ -44,7 +44,7 @@ def _in_filled_cubes(
     origin: Float[np.ndarray, " 3"],
     side_m: float,
 ) -> Bool[np.ndarray, " points"]:
-    # Axis by axis: what is done along rows of three is slow.
+    # Process axis by axis, because operations along rows of three are slow.
     index = [
         np.floor((axis - start) / side_m) for axis, start in zip(points.T, origin, strict=True)
     ]
@@ -59,15 +59,13 @@ def _in_filled_cubes(
 def beside(
     points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], reach_m: float
 ) -> Float[np.ndarray, "near_points 3"]:
-    """Return at least the points [m] that have a vertex within reach, and few others.
+    """Return all points [m] that have a vertex within reach, and few others, without a search.
 
-    No search is needed.
-
-    Those are in the cube of a grid that holds a vertex, or in one beside it.
+    The result contains the points in a grid cube with a vertex or in a neighboring cube.
     """
     if not len(points) or not len(vertices):
         return points[:0]
-    # A little wider than the reach: rounding must not lose a point.
+    # Use a slightly larger reach, so that rounding does not lose a point.
     side_m = 1.001 * reach_m
     origin = vertices.min(axis=0) - side_m
     cells = np.floor((vertices - origin) / side_m).astype(np.int64)
@@ -83,9 +81,9 @@ def beside(
 def masked_chamfer(
     positions: Float[np.ndarray, "vertices 3"], visible: np.ndarray, observation: Observation
 ) -> float:
-    """Two-way Chamfer [m^2] of visible vertices against a cloud, unobservable vertices left out.
+    """Return the two-way Chamfer distance [m^2] between visible vertices and a cloud.
 
-    A vertex counts towards vertex-to-cloud only where the sensor could have answered.
+    Unobservable vertices do not count in the vertex-to-cloud direction.
     """
     if not visible.any() or not len(observation.points):
         return np.inf

@@ -18,20 +18,20 @@ Command = Callable[[], object]
 def launching(
     kernel: wp.Kernel, dim: int, inputs: list[object], device: str | wp.Device
 ) -> Command:
-    """Return the launch of a kernel, to be done later."""
+    """Return the launch of a kernel as a command for later."""
     return partial(wp.launch, kernel, dim=dim, inputs=inputs, device=device)
 
 
 def do_all(commands: list[Command]) -> None:
-    """Do the commands, one after the other."""
+    """Run the commands one after another."""
     for command in commands:
         command()
 
 
 def made_ready(commands: list[Command]) -> list[Command]:
-    """Return the same with the launches' arguments packed: repeating them costs a tenth.
+    """Return the commands with packed launch arguments; repeating them costs a tenth.
 
-    Not for a capture, which would not see them.
+    Do not use this for a capture, which would not record them.
     """
     return [
         command(record_cmd=True).launch if getattr(command, "func", None) is wp.launch else command
@@ -40,13 +40,13 @@ def made_ready(commands: list[Command]) -> list[Command]:
 
 
 class MovingGrid:
-    """Cells of some of an array's points, which may move until the grid is built again.
+    """Grid of some of an array's points, which may move until the grid is built again.
 
     Args:
         members: indices of the points in the grid.
-        lower: lower corner of the box in which the points start [m].
+        lower: lower corner of the box that contains the initial points [m].
         upper: its upper corner [m].
-        cell_m: edge of a cell [m]; larger if the box would need too many.
+        cell_m: edge of a cell [m]; increased if the box would need too many cells.
         points: number of points in the array.
         device: Warp device.
     """
@@ -73,14 +73,14 @@ class MovingGrid:
         self.cells.origin = wp.vec3(*np.asarray(lower, np.float64).tolist())
         self.cells.cells_per_meter = 1.0 / cell_m
         self.cells.width, self.cells.height, self.cells.depth = (int(c) for c in counts)
-        # One more than there are cells: the scan's last entry is the end of the last cell.
+        # One entry more than there are cells: the scan's last entry is the end of the last cell.
         self.cells.first = wp.zeros(cells + 1, dtype=wp.int32, device=device)
         self.cells.items = wp.zeros(len(members), dtype=wp.int32, device=device)
         self._room = wp.zeros(cells + 1, dtype=wp.int32, device=device)
         self._device = device
 
     def build(self, positions: wp.array) -> None:
-        """Sort the members into cells by where they are now [m]."""
+        """Sort the members into cells by their current positions [m]."""
         do_all(self.building(positions))
 
     def building(self, positions: wp.array) -> list[Command]:
@@ -105,14 +105,14 @@ class MovingGrid:
 
 
 class Matcher:
-    """Cloud to visible vertices and trusted vertices to cloud, kept up to date by `launch`.
+    """Matches of cloud to visible vertices and of trusted vertices to cloud, updated by `launch`.
 
     Args:
         cloud: observed points [m], on the device.
         positions: vertices [m], on the device; the solver overwrites them.
         visible: vertices that a cloud point can belong to; at least one.
-        trusted: vertices that look for a cloud point themselves.
-        spacing_m: typical distance of neighboring vertices [m]: sizes the cells.
+        trusted: vertices that are matched to a cloud point.
+        spacing_m: typical distance of neighboring vertices [m]; it sets the size of the cells.
         range_m: smallest and largest distance of a vertex's partner [m].
     """
 
@@ -162,7 +162,7 @@ class Matcher:
         self.rebuild(positions)
 
     def rebuild(self, positions: wp.array) -> None:
-        """Sort the visible vertices anew; never needed for the result, but for speed."""
+        """Sort the visible vertices anew; this affects speed only, not the result."""
         do_all(self.rebuilding(positions))
 
     def rebuilding(self, positions: wp.array) -> list[Command]:
@@ -170,7 +170,7 @@ class Matcher:
         return [*self.grid.building(positions), self.progress.next_stale.zero_]
 
     def launch(self, positions: wp.array, sums: wp.array) -> None:
-        """Begin an iteration: match at these positions [m], add data residuals to the sums."""
+        """Begin an iteration: match at these positions [m] and add data residuals to the sums."""
         do_all(self.matching(positions, sums))
 
     def matching(self, positions: wp.array, sums: wp.array) -> list[Command]:
@@ -222,11 +222,9 @@ class Matcher:
         return self._nearest.numpy()
 
     def limits(self) -> np.ndarray:
-        """Return the distance of each cloud point's runner-up [m] and the way until then.
+        """Return each cloud point's distance to its runner-up plus the path until then [m].
 
-        Renewed by a search.
-
-        Whatever changes here was searched.
+        A search renews the value, so every value that changes indicates a search.
         """
         return self._limit.numpy().copy()
 
@@ -239,5 +237,5 @@ def _box(
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Return lower and upper corner of the box around points [m]."""
-    # Axis by axis: extremes along rows of three are slow.
+    # Process axis by axis, because extremes along rows of three are slow.
     return np.array([axis.min() for axis in points.T]), np.array([axis.max() for axis in points.T])

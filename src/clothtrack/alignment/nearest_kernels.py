@@ -1,19 +1,21 @@
 """Warp kernels that keep nearest neighbors exact while vertices move a little at a time.
 
-A search remembers the distance of the runner-up. As long as the nearest neighbor is closer than
-the runner-up can have come since (its distance then, less the way that has been moved), it is
-still the nearest, and one distance replaces a search: the triangle inequality as in G. Hamerly,
+A search stores the distance of the runner-up. The runner-up can have come closer since then by at
+most the traveled distance. If the current neighbor is closer than that bound, it is still the
+nearest, and one distance replaces a search. This is the triangle inequality as in G. Hamerly,
 "Making k-means even faster" (SDM 2010, doi:10.1137/1.9781611972801.12). Otherwise a uniform grid
-is searched, in a ball around the present neighbor's distance. The grid may hold positions from
-some steps ago: the ball grows by how far any vertex has gone since.
+is searched in a ball whose radius is the distance of the current neighbor. The grid may contain
+positions from some steps ago, so the ball is enlarged by the largest motion of any vertex since.
 
-The way is the longest step of the vertices nearby, summed over the iterations, not that of all:
-one vertex that swings between two partners would have every point searched anew. A cell knows the
-longest step that ended in it or beside it. That bounds whatever was farther from a point of the
-cell than some distance of at most the cell's edge: what comes nearer ends its step there.
+The traveled distance sums, over the iterations, the longest step of the vertices nearby. It does
+not use the longest step of all vertices, because one vertex that oscillates between two partners
+would then cause a search for every point. A cell stores the longest step that ended in it or in a
+neighboring cell. This bounds the motion of every vertex that was farther from a point of the cell
+than some distance of at most the cell's edge, because a vertex that comes nearer ends its step
+there.
 
-Ties go to the lower index and sums are integers (fixed point), so that the order of threads does
-not matter: CPU and GPU agree on the neighbors and every run repeats.
+Ties go to the lower index and sums are integers (fixed point), so the order of threads does not
+matter: CPU and GPU find the same neighbors, and every run is reproducible.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
@@ -32,16 +34,16 @@ _LENGTH = wp.constant(FIXED_POINT_LENGTH)
 _SQUARE = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 _ROUNDING = wp.constant(1.0e-6)
 _SURELY_BESIDE = wp.constant(0.999)
-"""Points that are so many edges of a cell apart along an axis lie in one cell or in neighbors."""
+"""Points at most this many cell edges apart along an axis are in the same or in adjacent cells."""
 
 _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
-"""An index under this mask is not negative: a compiler that knows need not ask at every access."""
+"""An index with this mask is never negative, so the compiler needs no check at every access."""
 
 
 @no_type_check
 @wp.struct
 class Grid:
-    """A box of cubic cells, x fastest; what lies outside belongs to the nearest border cell."""
+    """Box of cubic cells, x fastest; points outside belong to the nearest border cell."""
 
     origin: wp.vec3
     cells_per_meter: wp.float32
@@ -55,13 +57,13 @@ class Grid:
 @no_type_check
 @wp.struct
 class Progress:
-    """What lives on the device while the solver runs: arrays of one, and one entry per cell.
+    """State on the device while the solver runs: arrays of one, or of one entry per cell.
 
-    `traveled` [m] bounds per cell of the vertices' grid the way of any vertex in it or beside it
-    since the start: the sum over the iterations of the longest step, `step` being the present one.
-    `stale` [m] is how far any vertex is from where the grid has it, `next_stale` the same after the
-    present step. `decays` holds 0.9 and 0.999 to the power of the number of iterations begun
-    (Adam's start-up correction).
+    `traveled` [m] bounds, per cell of the vertices' grid, the path of any vertex in it or next to
+    it since the start: the sum over the iterations of the longest step. `step` is the longest one
+    of the current iteration. `stale` [m] is the largest distance of a vertex from its position in
+    the grid, `next_stale` the same after the current step. `decays` contains 0.9 and 0.999 to the
+    power of the number of iterations begun (Adam's bias correction).
     """
 
     iteration: wp.array(dtype=wp.int32)
@@ -76,7 +78,7 @@ class Progress:
 @no_type_check
 @wp.struct
 class _Neighbor:
-    """The nearest item (-1: none in reach), its distance and a bound for every other item [m]."""
+    """The nearest item (-1: none in reach), its distance, and a lower bound for all others [m]."""
 
     item: wp.int32
     distance: wp.float32
@@ -121,7 +123,7 @@ def fill_cells(
     room: wp.array(dtype=wp.int32),
     recorded: wp.array(dtype=wp.vec3),
 ):
-    """Put each member into its cell, whose free places `room` counts down, and record where."""
+    """Put each member into its cell, counting down free places in `room`; record its position."""
     member = members[wp.tid()]
     point = points[member]
     cell = _cell_of(grid, point)
@@ -139,7 +141,7 @@ def _search(
     radius: wp.float32,
     stale: wp.float32,
 ):
-    """Return the nearest item within a radius; items beyond it are at least the radius away."""
+    """Return the nearest item within a radius; items outside are at least the radius away."""
     reach = radius + stale
     x0 = _cell(grid, point[0] - reach, 0, grid.width)
     x1 = _cell(grid, point[0] + reach, 0, grid.width)
@@ -183,7 +185,7 @@ def _search_far(
     farthest: wp.float32,
     stale: wp.float32,
 ):
-    """Return the nearest item up to a distance: the ball doubles until it holds one."""
+    """Return the nearest item up to a distance; double the ball until it contains one."""
     ball = wp.min(radius, farthest)
     result = _search(point, points, grid, ball, stale)
     while result.item < 0 and ball < farthest:
@@ -195,7 +197,7 @@ def _search_far(
 @no_type_check
 @wp.kernel(enable_backward=False)
 def advance(progress: Progress):
-    """Start the next iteration, a thread per cell: add up the way, forget the partners' count."""
+    """Start the next iteration, a thread per cell: add up steps, reset the partner count."""
     cell = wp.tid()
     progress.traveled[cell] = progress.traveled[cell] + progress.step[cell]
     progress.step[cell] = 0.0
@@ -212,9 +214,9 @@ def advance(progress: Progress):
 @no_type_check
 @wp.func
 def record_step(grid: Grid, progress: Progress, before: wp.vec3, after: wp.vec3):
-    """Tell the cell in which a vertex's step [m] ends, and those beside it, how long it was."""
+    """Record the length of a vertex's step [m] in the cell in which it ends and its neighbors."""
     way = wp.length(after - before)
-    # Nor is what is not a number a step: it has no cell.
+    # This also skips NaN, which has no cell.
     if not way > 0.0:
         return
     column = _cell(grid, after[0], 0, grid.width)
@@ -298,21 +300,21 @@ def match_points(
     sums: wp.array2d(dtype=wp.int64),
     strip: wp.int32,
 ):
-    """Nearest visible vertex of each cloud point; counts and sums of points per vertex follow.
+    """Find the nearest visible vertex of each cloud point; update point counts and sums.
 
     Args:
         cloud: the observed points [m].
-        positions: the vertices now [m].
+        positions: the current vertices [m].
         grid: the visible vertices.
-        progress: scalars of the run.
-        reach: how far beyond the neighbor a search looks [m].
+        progress: state of the run.
+        reach: distance beyond the neighbor that a search covers [m].
         nearest: vertex per point, -1 before the first search.
-        cells: the grid's cell in which each point lies.
-        limit: distance of the runner-up when it was searched, and `traveled` there then [m].
-        pulled_count: cloud points per vertex.
+        cells: the grid cell of each point.
+        limit: runner-up distance at the last search plus `traveled` in the cell at that time [m].
+        pulled_count: number of cloud points per vertex.
         pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
         sums: row of this iteration, column 0: summed squared residuals, fixed point.
-        strip: points per thread: on a CPU, atomic additions are dear and threads are not many.
+        strip: points per thread; large on a CPU, where atomics are slow and threads are few.
     """
     start = wp.tid() * strip
     total = wp.float64(0.0)
@@ -351,20 +353,20 @@ def match_vertices(
     searched_from: wp.array(dtype=wp.vec3),
     partner: wp.array(dtype=wp.int32),
 ):
-    """Nearest cloud point of each trusted vertex: its partner if the distance is in range.
+    """Find the nearest cloud point of each trusted vertex: its partner if it is in range.
 
     Args:
         vertices: the trusted vertices.
-        positions: all vertices now [m].
+        positions: all current vertices [m].
         cloud: the observed points [m].
         grid: the observed points' cells.
-        progress: scalars of the run; counts the partners.
-        reach: how far beyond the neighbor a search looks [m].
+        progress: state of the run; counts the partners.
+        reach: distance beyond the neighbor that a search covers [m].
         shortest: smallest distance of partners [m].
         longest: largest distance of partners [m].
         nearest: cloud point per trusted vertex; -1: none was in reach.
-        others: distance of the next point when it was searched [m]; -1 before the first search.
-        searched_from: where the vertex was then [m].
+        others: runner-up distance at the last search [m]; -1 before the first search.
+        searched_from: position of the vertex at that search [m].
         partner: cloud point per vertex of the mesh, or -1.
     """
     number = wp.tid()
@@ -377,9 +379,9 @@ def match_vertices(
     if item >= 0:
         distance = wp.length(cloud[item] - position)
         bound = distance
-    # Without a neighbor in reach, the first that could matter lies at `longest`.
+    # Without a neighbor in reach, the nearest relevant point is at `longest`.
     if bound + moved + _ROUNDING > others[number]:
-        # What was found before bounds the ball; the first search starts with a small one.
+        # The earlier neighbor bounds the ball; the first search starts with a small one.
         ball = wp.where(item >= 0, distance, 3.0 * reach)
         ball = wp.where(item < 0 and others[number] >= 0.0, longest, ball)
         found = _search_far(position, cloud, grid, ball + reach, longest + reach, 0.0)

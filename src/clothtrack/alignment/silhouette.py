@@ -1,7 +1,7 @@
-"""How well the outline of a mesh covers the cloth in the picture.
+"""Compare the outline of a mesh with that of the cloth in the picture.
 
-Of all that can be observed, this follows the true error of a tracked mesh best: Chamfer distances
-hardly see cloth that lies in the wrong place on other cloth, an outline does.
+Of all observable measures, this one follows the true error of a tracked mesh best. Cloth in the
+wrong place on other cloth hardly changes Chamfer distances, but it changes the outline.
 """
 
 import cv2
@@ -18,13 +18,13 @@ from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
 
 _FIRST_STEP_M = 0.006
-"""First shift that is tried when an outline is to be fitted [m]."""
+"""First shift tried when an outline is fitted [m]."""
 
 TRIALS = 50
-"""Outlines that are drawn at most (Nelder and Mead's search over two shifts and a turn)."""
+"""Maximum number of rendered outlines (Nelder-Mead search over two shifts and a rotation)."""
 
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
-"""The four pixels beside one."""
+"""Kernel of the four neighbors of a pixel."""
 
 
 def silhouette_gap(
@@ -34,22 +34,22 @@ def silhouette_gap(
     *,
     device: str = "cpu",
 ) -> float:
-    """1 minus intersection over union of the mesh's and the cloud's picture, over all cameras.
+    """Return 1 minus the IoU of the mesh's and the cloud's silhouettes, over all cameras.
 
     Args:
         mesh: the topology.
-        vertices: where its vertices are [m].
-        observation: the cloud, as dense as it is, and where the cameras were blind.
+        vertices: positions of its vertices [m].
+        observation: the cloud at its full density, and the hidden pixels of the cameras.
         device: "cpu" or "cuda:0".
 
     Returns:
-        0 for equal outlines, 1 for disjoint ones; NaN where nothing is in view.
+        0 for equal outlines, 1 for disjoint ones; NaN if nothing is in view.
     """
     return _Outline(mesh, observation, device).gap(vertices)
 
 
 class _Outline:
-    """The cloud's picture in every camera, drawn once for all meshes that are held against it."""
+    """Silhouette of the cloud in every camera, computed once for all meshes compared with it."""
 
     def __init__(self, mesh: ClothMesh, observation: Observation, device: str) -> None:
         self._faces, self._observation = mesh.faces, observation
@@ -64,11 +64,11 @@ class _Outline:
     def gap(self, vertices: Float[np.ndarray, "vertices 3"]) -> float:
         """Return the `silhouette_gap` of the mesh with these vertices [m]."""
         both = either = 0
-        # The cloud may have been cut away there, so that its absence says nothing.
+        # The cloud may have been cut away there, so missing points are no evidence.
         silent = self._observation.unobservable(vertices)[self._faces].any(axis=1)
         unobservable_face = np.append(silent, False)
         for rasterizer, seen, shown, hidden, count in self._views:
-            # Where nothing is drawn, all that is shown is shown alone: there is no need to look.
+            # Outside the window the mesh covers nothing, so only the cloud's pixels count there.
             window = rasterizer.window(vertices)
             faces = rasterizer.faces_within(vertices, window)
             drawn = (faces >= 0) & (seen[window] | ~unobservable_face[faces])
@@ -88,23 +88,23 @@ def slide_to_outline(
     *,
     device: str = "cpu",
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Slide and turn a whole mesh on the table until its outline fits best.
+    """Slide and rotate a whole mesh on the table until its outline fits best.
 
-    Nearest points hold a mesh where it is: all but the few at the rim have a partner right where
-    they are, wherever the cloth has slipped to. The outline does not.
+    Nearest-point matches keep a mesh in place even if the cloth has slipped, because all vertices
+    except a few at the rim have a partner where they are. The outline does not have this problem.
 
     Args:
         mesh: the topology.
-        vertices: where its vertices are [m].
-        observation: the cloud, and where the cameras were blind.
+        vertices: positions of its vertices [m].
+        observation: the cloud, and the hidden pixels of the cameras.
         table: the plane on which it slides.
         device: "cpu" or "cuda:0".
 
     Returns:
-        The moved vertices [m]; the same ones where no move fits better.
+        The moved vertices [m]; unchanged if no move fits better.
     """
     middle = vertices.mean(axis=0)
-    # A turn moves the rim about as far as a shift of the same number does.
+    # Scale the rotation so that it moves the rim about as far as a shift of the same number.
     lever_m = max(float(np.linalg.norm(vertices - middle, axis=1).mean()), 1e-6)
     across = np.linalg.svd(table.normal[None])[2][1:]
 
@@ -129,7 +129,7 @@ def slide_to_outline(
 def cloud_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> Bool[np.ndarray, "height width"]:
-    """Return the pixels that a cloud covers: those of its points, and the gaps between them."""
+    """Return the pixels that a cloud covers: its points and the gaps between them."""
     pixels, depth = camera.project(points)
     pixels = np.rint(pixels[depth > 0]).astype(np.int64)
     size = (camera.width, camera.height)
@@ -143,11 +143,11 @@ def cloud_picture(
 
 
 def _spacing_px(shown: UInt8[np.ndarray, "height width"]) -> float:
-    """Return the median distance of a shown pixel from the nearest other one, of some thousand."""
+    """Return the median distance of a shown pixel to the nearest other one, from about 1000."""
     pixels = np.argwhere(shown.T)[:, ::-1]
     some = pixels[:: 1 + len(pixels) // 1000]
     beside = cv2.filter2D(shown, -1, _CROSS, borderType=cv2.BORDER_CONSTANT)
-    # No other pixel is nearer than the one beside: what most have needs no search.
+    # An adjacent pixel is always the nearest: if most have one, no search is needed.
     if 2 * np.count_nonzero(beside[*some.T]) > len(some):
         return 1.0
     return float(np.median(cKDTree(pixels).query(some, k=2)[0][:, 1]))

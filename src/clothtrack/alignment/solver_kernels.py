@@ -1,7 +1,7 @@
 """Warp kernels of the solvers of test-time optimization: Adam, and Gauss-Newton steps.
 
-Conjugate gradients work on strips of vertices: one thread per strip, and every thread adds up all
-strips' partial dot products itself, in one order.
+Conjugate gradients work on strips of vertices with one thread per strip. Every thread sums the
+partial dot products of all strips itself, in a fixed order.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
@@ -33,7 +33,7 @@ def measure(
     sums: wp.array2d(dtype=wp.int64),
     gradient: wp.array(dtype=wp.vec3),
 ):
-    """Objective (its sums) and gradient at the present displacement."""
+    """Compute the objective (its sums) and its gradient at the current displacement."""
     vertex = wp.tid()
     slope = slope_at(vertex, scene, weights, positions, displacements)
     record(add_squares(Tally(), slope), progress, sums)
@@ -60,7 +60,7 @@ def step_adam(
     new_displacements: wp.array(dtype=wp.vec3),
     strip: wp.int32,
 ):
-    """One step of Adam (D. P. Kingma and J. Ba, arXiv 1412.6980; decays 0.9 and 0.999)."""
+    """Do one step of Adam (D. P. Kingma and J. Ba, arXiv 1412.6980; decays 0.9 and 0.999)."""
     scale = step_m / (1.0 - wp.float32(progress.decays[0]))
     correction = wp.float32(wp.float64(1.0) / (wp.float64(1.0) - progress.decays[1]))
     tally = Tally()
@@ -81,7 +81,7 @@ def step_adam(
         position = initial[vertex] + displacement
         new_displacements[vertex] = displacement
         new_positions[vertex] = position
-        # Only vertices that a search can return count: how far others go is of no interest.
+        # Record only the vertices that a search can return.
         if searched[vertex]:
             record_step(grid, progress, positions[vertex], position)
             tally.stale = wp.max(tally.stale, wp.length(position - recorded[vertex]))
@@ -94,9 +94,9 @@ class Conjugate:
     """The linear system and the state of the conjugate gradients.
 
     The matrix couples the two ends of every edge by `coupled` in all directions and by `along` in
-    that of the edge, whose unit vectors are `unit`. Each vertex has a `stiffness` of its own, and
-    an `axis_stiffness` along an `axis`. Arrays have one entry per vertex, partial dot products one
-    per strip.
+    the direction of the edge; `unit` are the unit vectors of the edges. Each vertex has its own
+    `stiffness`, and an `axis_stiffness` along an `axis`. Arrays have one entry per vertex, and
+    arrays of partial dot products have one per strip.
     """
 
     coupled: wp.float32
@@ -138,10 +138,10 @@ def linearise(
 ):
     """Set up the linear system of one outer step: fixed matches, stretch along edges only.
 
-    The unknown is the change of the displacement; the right-hand side is half of the negative
-    gradient, the matrix is the Gauss-Newton approximation of half of the Hessian, damped where
-    edges turn (D. Marquardt, doi:10.1137/0111030): it hardly resists that, and vertices would run
-    past the matches that it was made for.
+    The unknown is the change of the displacement. The right-hand side is half of the negative
+    gradient. The matrix is the Gauss-Newton approximation of half of the Hessian, with damping of
+    edge rotations (D. Marquardt, doi:10.1137/0111030). Without damping the matrix hardly resists
+    rotations, and vertices would overshoot the fixed matches.
     """
     strip = wp.tid()
     tally = Tally()
@@ -162,7 +162,7 @@ def linearise(
                 unit = edge / wp.max(wp.length(edge), 1.0e-9)
                 conjugate.unit[place] = unit
                 diagonal += conjugate.along * wp.cw_mul(unit, unit)
-        # Without rigidity and length a hidden vertex has no equation: it stays where it is.
+        # Without rigidity and length a hidden vertex has no equation and stays in place.
         inverse = wp.vec3(
             1.0 / wp.max(diagonal[0], 1.0e-12),
             1.0 / wp.max(diagonal[1], 1.0e-12),
@@ -185,7 +185,7 @@ def linearise(
 @no_type_check
 @wp.func
 def _multiply_strip(strip: wp.int32, scene: Scene, conjugate: Conjugate):
-    """Matrix times search direction, and the direction's curvature."""
+    """Compute the matrix times the search direction, and the direction's curvature."""
     conjugate.residual_dots[strip] = conjugate.new_residual_dots[strip]
     dots = wp.float64(0.0)
     end = wp.min((strip + 1) * conjugate.strip, conjugate.solution.shape[0])
@@ -222,7 +222,7 @@ def _multiply_strip(strip: wp.int32, scene: Scene, conjugate: Conjugate):
 @no_type_check
 @wp.func
 def _descend_strip(strip: wp.int32, conjugate: Conjugate):
-    """Go to the minimum along the search direction."""
+    """Move to the minimum along the search direction."""
     residual_dot = _sum(conjugate.residual_dots)
     curvature = _sum(conjugate.curvature_dots)
     length = float(0.0)
@@ -257,28 +257,28 @@ def _turn_strip(strip: wp.int32, conjugate: Conjugate):
 @no_type_check
 @wp.kernel(enable_backward=False)
 def multiply(scene: Scene, conjugate: Conjugate):
-    """`_multiply_strip`, a thread per strip."""
+    """Run `_multiply_strip` with one thread per strip."""
     _multiply_strip(wp.tid(), scene, conjugate)
 
 
 @no_type_check
 @wp.kernel(enable_backward=False)
 def descend(conjugate: Conjugate):
-    """`_descend_strip`, a thread per strip."""
+    """Run `_descend_strip` with one thread per strip."""
     _descend_strip(wp.tid(), conjugate)
 
 
 @no_type_check
 @wp.kernel(enable_backward=False)
 def turn(conjugate: Conjugate):
-    """`_turn_strip`, a thread per strip."""
+    """Run `_turn_strip` with one thread per strip."""
     _turn_strip(wp.tid(), conjugate)
 
 
 @no_type_check
 @wp.kernel(enable_backward=False)
 def solve_alone(scene: Scene, conjugate: Conjugate, steps: wp.int32):
-    """All steps by one thread, for a CPU, where a launch costs more than it would save."""
+    """Do all steps in one thread, for a CPU, where a launch costs more than it saves."""
     for step in range(steps):
         _multiply_strip(0, scene, conjugate)
         _descend_strip(0, conjugate)
@@ -303,10 +303,11 @@ def apply_solution(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Add the solution to the displacement, and go on in the direction of the last two.
+    """Add the solution to the displacement, plus momentum along the last two solutions.
 
-    Not if the objective has risen: the way on is then no longer the way down (B. O'Donoghue and
-    E. Candes, "Adaptive restart for accelerated gradient schemes", doi:10.1007/s10208-013-9150-3).
+    There is no momentum after the objective has risen, because it then no longer points downhill
+    (B. O'Donoghue and E. Candes, "Adaptive restart for accelerated gradient schemes",
+    doi:10.1007/s10208-013-9150-3).
     """
     row = progress.iteration[0]
     ahead = momentum

@@ -1,6 +1,6 @@
 """Solvers of test-time optimization: Adam, and Gauss-Newton steps with fixed matches.
 
-A solver is a frozen object with its settings and a method `solve`, which takes a `Problem` and
+A solver is a frozen object that contains its settings. Its method `solve` takes a `Problem` and
 returns the displacement of every vertex [m] and the sums of every evaluation.
 """
 
@@ -17,7 +17,7 @@ from clothtrack.alignment.terms_kernels import PARTNERS, TERM_COUNT, TERMS
 from clothtrack.files.bounds import Checked, Count, NotNegative, Share
 
 ADAM_STEP_M = 1e-3
-"""Step of Adam [m]: about as far as a vertex moves in one iteration, at most."""
+"""Step of Adam [m]: approximately the largest move of a vertex in one iteration."""
 
 _REBUILD_AT = frozenset((2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768))
 
@@ -29,7 +29,7 @@ class Problem:
     Attributes:
         initial: vertices [m] at zero displacement, relative to their center.
         matcher: keeps nearest points up to date.
-        scene: what the residuals are computed from.
+        scene: inputs of the residuals.
         scales: weight of the sum of squares of each of `TERMS`.
     """
 
@@ -57,7 +57,7 @@ class Problem:
 
     @property
     def weights(self) -> object:
-        """Weights of the terms, as kernels take them."""
+        """Weights of the terms, in the form that kernels take."""
         return terms_kernels.TermVector(*self.scales)
 
     @property
@@ -66,7 +66,7 @@ class Problem:
         return [self.scene, self.weights, self.matcher.progress]
 
     def measure(self, positions: wp.array, displacements: wp.array, sums: wp.array) -> wp.array:
-        """Match and record the objective; return its gradient [m^2 per m]."""
+        """Update the matches and record the objective; return its gradient [m^2 per m]."""
         self.matcher.launch(positions, sums)
         gradient = self.vectors()
         wp.launch(
@@ -79,13 +79,13 @@ class Problem:
 
 
 def load_kernels(device: str) -> None:
-    """Load what a capture needs; a capture on CUDA cannot."""
+    """Load the modules that a capture needs, because a CUDA capture cannot load them."""
     wp.load_module(solver_kernels, device=device)
     wp.load_module(nearest_kernels, device=device)
 
 
 def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]:
-    """Record launches as a graph, so that repeating them costs next to nothing in Python.
+    """Record launches as a graph, so that repeating them costs almost no Python time.
 
     Their kernels must have been loaded (`load_kernels`).
     """
@@ -96,10 +96,10 @@ def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]
 
 @dataclass(frozen=True)
 class Adam(Checked):
-    """Adam with matches renewed in every iteration, as in the paper.
+    """Adam with new matches in every iteration, as in the paper.
 
     Attributes:
-        iterations: steps (the paper: 200).
+        iterations: number of steps (the paper: 200).
         step_m: length of a step [m].
     """
 
@@ -147,15 +147,15 @@ class Adam(Checked):
 class GaussNewton(Checked):
     """Gauss-Newton steps by conjugate gradients, each with fixed matches: "icp".
 
-    Five to ten times faster than Adam, and ends as low.
+    It is five to ten times faster than Adam and reaches the same objective.
 
     Attributes:
-        iterations: how often the matches are renewed at most.
-        inner: conjugate gradient steps in each iteration.
-        momentum: part of its last step that is added to the next.
-        damping: resistance to the turn of an edge in one step, over the resistance to stretch.
-            Without it turns cost nothing: vertices run after their nearest points, find others
-            there, and run back. It changes the path, not the minimum.
+        iterations: maximum number of iterations, each with new matches.
+        inner: conjugate gradient steps per iteration.
+        momentum: share of the last step that is added to the next.
+        damping: resistance to the rotation of an edge in one step, relative to the resistance to
+            stretch. Without it rotations cost nothing, so vertices oscillate: they move to their
+            nearest points, find others there, and move back. It changes the path, not the minimum.
         tolerance: end when two iterations together lower the objective by a smaller share; 0 does
             all iterations.
     """
@@ -193,14 +193,14 @@ class GaussNewton(Checked):
                 launching(solver_kernels.turn, strips, [conjugate], device),
             ] * self.inner
         step = [
-            # Steps are long: searching is cheaper in cells that know where the vertices are now.
+            # Steps are long, so the search is faster in cells with the current positions.
             *matcher.rebuilding(positions),
             *matcher.matching(positions, sums),
             launching(solver_kernels.linearise, strips, linearise, device),
             *solve,
             launching(solver_kernels.apply_solution, strips, apply, device),
         ]
-        # For so few repetitions recording a graph would cost a CPU more than it saves.
+        # On a CPU recording a graph would cost more than it saves in so few repetitions.
         repeat = (
             partial(do_all, made_ready(step))
             if on_cpu
@@ -214,7 +214,7 @@ class GaussNewton(Checked):
         return displacements.numpy(), sums.numpy()[: done + 1]
 
     def _has_converged(self, problem: Problem, sums: wp.array, done: int) -> bool:
-        """Return whether the last two measured iterations gained less than the tolerance."""
+        """Return whether the last two iterations lowered the objective by less than allowed."""
         if self.tolerance == 0.0 or done < 3:
             return False
         losses = np.sum(list(problem.terms(sums.numpy()[done - 3 : done]).values()), axis=0)

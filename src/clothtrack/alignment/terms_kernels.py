@@ -10,9 +10,9 @@ over cloud points p, edges ij, trusted visible vertices t with a partner q_t, an
 which some have a mark m_i.
 
 To add a term, write a function with the signature of `chamfer`, add its weight to `TermWeights`,
-and add an entry to `TERMS`; the solvers, their records and the reported losses follow. One thread
+and add an entry to `TERMS`; the solvers, their records and the reported losses adapt. One thread
 gathers everything that depends on one vertex, so that floating-point numbers are never added in
-parallel. An edge is seen from both of its ends and counts half each time.
+parallel. An edge is processed from both ends and counts half each time.
 """
 
 from collections.abc import Callable
@@ -29,11 +29,11 @@ from clothtrack.alignment.nearest_kernels import (
 from clothtrack.files.bounds import Checked, NotNegative
 
 TWO_WAY_RANGE_M = (0.004, 0.08)
-"""Smallest and largest distance [m] of a vertex and its partner in the cloud. Nearer is the cloud's
-spacing, farther is what the camera missed."""
+"""Smallest and largest distance [m] of a vertex and its partner in the cloud. Smaller distances are
+the cloud's spacing; larger ones belong to cloth that the camera missed."""
 
 TABLE_WEIGHT = 10.0
-"""Weight of the depth under the resting height, as in the reference implementation."""
+"""Weight of the depth below the resting height, as in the reference implementation."""
 
 _LENGTH_UNIT = wp.constant(wp.float64(FIXED_POINT_LENGTH))
 _SQUARE_UNIT = wp.constant(wp.float64(FIXED_POINT_SQUARE))
@@ -44,13 +44,13 @@ class TermWeights(Checked):
     """Weights of the terms, each of which is a mean of squares [m^2].
 
     Attributes:
-        chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
-        rigidity_weight: difference of the displacements along edges (the paper: 10).
-        two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
-            is the paper.
-        length_weight: stretch of edges against the first mesh; 0 is the paper.
-        marks_weight: vertex to its mark, the place where followed points of the pictures want it; a
-            mark counts as much as this many cloud points. 0 is the paper, which ignores color.
+        chamfer_weight: distance of cloud points to the nearest visible vertex (the paper: 1).
+        rigidity_weight: difference of the displacements at the ends of edges (the paper: 10).
+        two_way_weight: distance of trusted visible vertices to the nearest cloud point, within
+            `TWO_WAY_RANGE_M` (the paper: 0).
+        length_weight: stretch of edges relative to the first mesh (the paper: 0).
+        marks_weight: distance of vertices to their marks, the targets from followed points of the
+            pictures; a mark counts as much as this many cloud points. The paper ignores color (0).
     """
 
     chamfer_weight: NotNegative = 1.0
@@ -63,13 +63,13 @@ class TermWeights(Checked):
 @no_type_check
 @wp.struct
 class Scene:
-    """What the residuals of one alignment are computed from.
+    """Inputs of the residuals of one alignment.
 
     Neighbors of each vertex along edges, with rest lengths [m], in compressed rows (`first`,
     `neighbor`, `rest_length`); the cloud [m]; per vertex the number of cloud points that it is
     nearest to and their sum (fixed point), its partner in the cloud (-1: none) and its mark [m]
     with a weight; the number of partners; the table's normal and the lowest height of a vertex
-    over the origin, along that normal [m].
+    above the origin, along that normal [m].
     """
 
     first: wp.array(dtype=wp.int32)
@@ -89,7 +89,7 @@ class Scene:
 @no_type_check
 @wp.struct
 class Residual:
-    """What one term contributes at one vertex.
+    """Contribution of one term at one vertex.
 
     `gradient` is half of the gradient of the weighted term, `square` the unweighted squares of the
     residuals [m^2]. `stiffness` and `axis_stiffness` are half of the weighted Gauss-Newton Hessian
@@ -113,7 +113,10 @@ def chamfer(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Cloud points to their nearest visible vertex; the matcher records the squares."""
+    """Return the residual of cloud points to their nearest visible vertex, without squares.
+
+    The matcher records the squares.
+    """
     residual = Residual()
     count = scene.pulled_count[vertex]
     if count > 0:
@@ -137,7 +140,7 @@ def two_way(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """A trusted visible vertex to its partner in the cloud."""
+    """Return the residual of a trusted visible vertex to its partner in the cloud."""
     residual = Residual()
     partners = scene.partner_count[0]
     if partners > 0:
@@ -160,7 +163,7 @@ def marks(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """A vertex to its mark."""
+    """Return the residual of a vertex to its mark."""
     residual = Residual()
     mark_weight = scene.mark_weight[vertex]
     if mark_weight > 0.0:
@@ -180,7 +183,7 @@ def rigidity(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Differences of the displacements along edges."""
+    """Return the residual of the displacement differences along edges."""
     residual = Residual()
     total = wp.vec3()
     for place in range(scene.first[vertex], scene.first[vertex + 1]):
@@ -200,7 +203,7 @@ def length(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Lengths of edges against their rest lengths."""
+    """Return the residual of the edge lengths relative to their rest lengths."""
     residual = Residual()
     if weight > 0.0:
         total = wp.vec3()
@@ -223,7 +226,7 @@ def table(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Depth of a vertex under its resting height over the table."""
+    """Return the residual of a vertex's depth below its resting height above the table."""
     residual = Residual()
     depth = scene.lowest - wp.dot(scene.table_normal, positions[vertex])
     if depth > 0.0:
@@ -236,7 +239,7 @@ def table(
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the terms are means over, and what an alignment was given.
+    """Counts for the means of the terms, and optional inputs of an alignment.
 
     Attributes:
         points: cloud points.
@@ -260,7 +263,7 @@ class _Term:
     Attributes:
         name: key of `Alignment.terms`.
         residual: Warp function with the signature of `chamfer`.
-        weight: of the sum of the squares, from the configuration and the counts of the mean.
+        weight: returns the weight of the sum of squares, given the configuration and the counts.
         edges: how the term couples the two ends of an edge in the Gauss-Newton Hessian: not at all,
             in every direction, or along the edge.
         per_partner: divide by the number of partners, which the matcher counts on the device.
@@ -273,7 +276,7 @@ class _Term:
     per_partner: bool = False
 
 
-# The matcher adds the squares of the first term: they belong to cloud points, not to vertices.
+# The matcher adds the squares of the first term, because they belong to cloud points.
 TERMS = (
     _Term("chamfer", chamfer, lambda config, n: config.chamfer_weight / n.points),
     _Term("two_way", two_way, lambda config, _: config.two_way_weight, per_partner=True),
@@ -297,7 +300,7 @@ TermSums = wp.types.vector(length=TERM_COUNT, dtype=wp.float64)
 @no_type_check
 @wp.struct
 class Slope:
-    """The residuals of all terms at one vertex, added up; squares per term."""
+    """Sum of the residuals of all terms at one vertex, with squares per term."""
 
     gradient: wp.vec3
     squares: TermVector
@@ -315,12 +318,12 @@ def slope_at(
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Half of the objective's gradient at one vertex, the squares and the stiffness there."""
+    """Return half of the objective's gradient at one vertex, its squares and its stiffness."""
     slope = Slope()
     group = wp.vec3()
     for k in range(wp.static(TERM_COUNT)):
         residual = wp.static(TERMS[k].residual)(weights[k], vertex, scene, positions, displacements)
-        # Terms of edges are added up before they are added to those of vertices.
+        # Sum the terms of edges before they are added to those of vertices.
         if wp.static(_STARTS_GROUP[k]):
             slope.gradient += group
             group = wp.vec3()
@@ -336,7 +339,7 @@ def slope_at(
 @no_type_check
 @wp.struct
 class Tally:
-    """Squares per term [m^2] and longest way [m] of the vertices that one thread looks after."""
+    """Squares per term [m^2] and largest motion [m] of the vertices of one thread."""
 
     squares: TermSums
     stale: wp.float32

@@ -1,4 +1,4 @@
-"""A garment's template mesh from the outline of the flat garment: layers, seams and openings."""
+"""Template mesh of a garment from its flat outline: layers, seams and openings."""
 
 import itertools
 from dataclasses import dataclass
@@ -24,29 +24,31 @@ from clothtrack.garments.triangulation import Span, evenly_along
 from clothtrack.geometry.mesh import ClothMesh
 
 TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
-"""Garments that a template can be made of."""
+"""Garments for which a template can be made."""
 
 _USUAL_FRONT_NECK_SHARE = 0.10
-"""Depth of the front's neck over the garment's length: the picture shows the back's."""
+"""Default depth of the front neckline as a share of the garment's length; the picture shows only
+that of the back."""
 
 _RECTANGLE_SHARE = 0.02
-"""A towel whose area differs less than this from a rectangle's is one."""
+"""A towel is a rectangle if its area differs from the rectangle's by less than this share."""
 
 _MIRROR_LIMIT_SHARE = 0.05
-"""Halves farther apart than this share of the garment's extent (root mean square) are left so."""
+"""Halves that differ by more than this share of the garment's extent (root mean square) are not
+mirrored."""
 
 _STRETCH_POINTS = 241
-"""Points of a stretch after both halves were compared; odd, so that one is in the middle."""
+"""Points per stretch for comparing both halves; odd, so that one is in the middle."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A named part of a garment's outline.
+    """Named part of a garment's outline.
 
     Attributes:
         name: hem, side, cuff, shoulder, neck, waist, outer seam, inner seam or edge.
-        points: on the upright garment [m].
-        pixels: in the picture; column and row.
+        points: points on the upright garment [m].
+        pixels: the same points in the picture; column and row.
     """
 
     name: str
@@ -66,16 +68,16 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class FlatTemplate:
-    """A garment's template and what it was made from.
+    """Template of a garment and the outline that it was made from.
 
     Attributes:
         kind: the garment.
-        mesh: lying flat, neck or waist towards +y; canonical coordinates included.
-        stretches: its outline, counter-clockwise.
-        asymmetry_m: how far its halves were from each other's mirror image, root of the mean
-            square [m].
-        mirrored: whether the halves were made equal.
-        neck_seen: whether the neck's ends were seen, or are a guess.
+        mesh: the flat mesh, neck or waist toward +y, with canonical coordinates.
+        stretches: its outline, counterclockwise.
+        asymmetry_m: root mean square distance between each half and the mirror image of the other
+            [m].
+        mirrored: whether the halves were made symmetric.
+        neck_seen: whether the neck's ends were detected rather than guessed.
     """
 
     kind: TemplateKind
@@ -112,17 +114,17 @@ def make_template(
     """Make the template of a garment from its outline when it lies flat, front up.
 
     Args:
-        outline: as seen from above.
+        outline: the outline seen from above.
         kind: the garment.
-        vertex_count: about how many vertices.
-        front_neck_m: how deep the front's neck is cut [m]; a tenth of the length when None.
-        openings: pixels of the ends of its openings (`openings_at`); looked for when None.
-        mirrored: whether halves that are nearly mirror images are made so.
-        seed: of the triangulation.
-        name: what messages call the picture.
+        vertex_count: approximate number of vertices.
+        front_neck_m: depth of the front neckline [m]; None: a tenth of the length.
+        openings: pixels of the ends of its openings (`openings_at`); None: detected.
+        mirrored: whether nearly symmetric halves are made exactly symmetric.
+        seed: seed of the triangulation.
+        name: name of the picture in messages.
 
     Raises:
-        InvalidConfigError: another kind, or a number that does not fit.
+        InvalidConfigError: the kind is unknown, or a number does not fit.
         InvalidRecordingError: the outline is not that of such a garment.
     """
     if kind not in get_args(TemplateKind):
@@ -191,7 +193,7 @@ def _sewn_template(
 
 
 def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTemplate:
-    """Return one layer: a rectangle when the outline is one, its own outline else."""
+    """Return a one-layer template: a rectangle if the outline is one, else the outline itself."""
     upright = _levelled(outline)
     corners = _rectangle(upright.points)
     width, length = (corners[2] - corners[0]).tolist()
@@ -213,7 +215,7 @@ def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTe
     closed = np.concatenate([upright.points, upright.points[:1]])
     closed = closed - 0.5 * (closed.min(axis=0) + closed.max(axis=0))
     pixels = np.concatenate([upright.pixels, upright.pixels[:1]])
-    # Begin at a corner: the first point is kept as one.
+    # Begin at a corner, because the first point becomes a corner of the mesh.
     start = int(np.linalg.norm(closed[:-1], axis=1).argmax())
     order = np.append(np.roll(np.arange(len(closed) - 1), -start), start)
     edge = Stretch("edge", closed[order], pixels[order])
@@ -222,13 +224,13 @@ def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTe
 
 
 def _levelled(outline: Silhouette) -> Silhouette:
-    """Turn by less than an eighth until the longest straight edges run along the axes."""
+    """Rotate by less than an eighth of a turn to align the longest straight edges to the axes."""
     (_, _, degrees) = cv2.minAreaRect(outline.points.astype(np.float32))
     steps = np.roll(outline.points, -8, axis=0) - np.roll(outline.points, 8, axis=0)
     angles = np.arctan2(steps[:, 1], steps[:, 0])
     angle = np.radians(degrees)
     for reach in (0.2, 0.1, 0.05):
-        # Angles of the edges modulo a quarter turn, near the present one.
+        # Angles of the edges modulo a quarter turn, near the current angle.
         off = (angles - angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
         near = off[np.abs(off) < reach]
         angle += float(np.mean(near)) if len(near) else 0.0
@@ -237,7 +239,7 @@ def _levelled(outline: Silhouette) -> Silhouette:
 
 
 def _rectangle(points: Outline) -> Float[np.ndarray, "4 2"]:
-    """Return the level rectangle fitted to the outline's sides, counter-clockwise."""
+    """Return the axis-aligned rectangle fitted to the outline's sides, counterclockwise."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
     sides = []
@@ -252,15 +254,15 @@ def _rectangle(points: Outline) -> Float[np.ndarray, "4 2"]:
 
 
 def _to_rectangle(points: Outline, width: float, length: float) -> Float[np.ndarray, " points"]:
-    """Return signed distance [m] of points to a rectangle around their middle; negative inside."""
-    centerd = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
-    beyond = np.abs(centerd) - 0.5 * np.array([width, length])
+    """Return signed distances [m] of points to a rectangle at their middle; negative inside."""
+    centered = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
+    beyond = np.abs(centered) - 0.5 * np.array([width, length])
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
     return outside + np.minimum(beyond.max(axis=1), 0.0)
 
 
 def _about_their_axis(parts: list[Outline]) -> tuple[list[Outline], float]:
-    """Turn and move stretches to their nearest mirror images; return them and the gap [m]."""
+    """Rotate and shift stretches to be most symmetric; return them and the asymmetry [m]."""
     count = len(parts)
     ours = np.concatenate(parts)
     theirs = np.concatenate([parts[-number % count][::-1] for number in range(count)])
@@ -277,13 +279,13 @@ def _about_their_axis(parts: list[Outline]) -> tuple[list[Outline], float]:
 
 
 def _images(parts: list[Outline]) -> list[Outline]:
-    """Return the mirror image of each stretch's counterpart, in the stretch's direction."""
+    """Return the mirror image of each stretch's counterpart, in the direction of the stretch."""
     count = len(parts)
     return [parts[-number % count][::-1] * (-1.0, 1.0) for number in range(count)]
 
 
 def _spans(stretch: Stretch, bend_m: float) -> list[Span]:
-    """Cut a stretch at its corners, alike on both sides of the garment."""
+    """Cut a stretch at its corners, symmetrically on both sides of the garment."""
     points = stretch.points
     last = len(points) - 1
     if not stretch.sewn and stretch.name != "edge":
@@ -299,7 +301,7 @@ def _spans(stretch: Stretch, bend_m: float) -> list[Span]:
 
 
 def _front_neck(back: Outline, depth_m: float) -> Outline:
-    """Return the front's neckline: half an ellipse, or the back's where that is deeper."""
+    """Return the front neckline: half an ellipse, or that of the back if it is deeper."""
     start, end = back[0], back[-1]
     middle, half = 0.5 * (start + end), 0.5 * (start - end)
     if middle[1] - back[len(back) // 2, 1] >= depth_m:

@@ -1,7 +1,7 @@
 """Flat garments as meshes of any size: a towel and a two-layer T-shirt.
 
-Canonical coordinates do not depend on the triangulation: two meshes of one garment agree on which
-material point is which, however many vertices each of them has.
+Canonical coordinates do not depend on the triangulation: they identify the same material point in
+two meshes of one garment, for any number of vertices.
 """
 
 import math
@@ -29,21 +29,21 @@ from clothtrack.garments.triangulation import (
 from clothtrack.geometry.mesh import ClothMesh
 
 GarmentKind = Literal["towel", "tshirt"]
-"""Garments that a width and a length describe."""
+"""Garments that are defined by a width and a length."""
 
 ClothKind = Literal["towel", "tshirt", "trousers"]
-"""Garments of which states are made, and that are reconstructed from a picture."""
+"""Garments for which states are generated, and that are reconstructed from a picture."""
 
 TowelPattern = Literal["alternating", "regular", "random"]
 
 DEFAULT_SIZES_M: dict[str, tuple[float, float]] = {"towel": (0.3, 0.3), "tshirt": (0.5, 0.45)}
-"""Width and length [m] of each kind of garment when none is asked for."""
+"""Default width and length [m] of each kind of garment."""
 
 TOWEL_SIDES_M = (0.22, 0.34)
-"""From where the sides of generated towels are drawn [m]."""
+"""Range of the sides of generated towels [m]."""
 
 TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M = (0.42, 0.54), (0.38, 0.48)
-"""From where the widths, from sleeve to sleeve, and lengths of generated T-shirts are drawn [m]."""
+"""Ranges of the widths, from sleeve to sleeve, and lengths of generated T-shirts [m]."""
 
 _SEAM_TAPER_M = 0.02
 """Distance [m] from a seam over which the two layers of a flat garment reach their full gap."""
@@ -57,18 +57,18 @@ def towel(
     pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a rectangle in the plane z = 0, centerd at the origin.
+    """Make a rectangle in the plane z = 0, centered at the origin.
 
     Args:
         width_m: extent along x [m].
         length_m: extent along y [m].
-        spacing_m: length of an edge [m]; the nearest whole number of edges fits each side.
+        spacing_m: length of an edge [m]; each side gets the nearest whole number of edges.
         pattern: "regular" cuts every grid cell along the same diagonal, "alternating" along the
-            other one in every second cell, "random" is a turned triangular lattice.
-        seed: turns and shifts the lattice of "random".
+            other one in every second cell, "random" is a rotated triangular lattice.
+        seed: seed for the rotation and shift of the lattice of "random".
 
     Raises:
-        InvalidConfigError: when the spacing does not fit the size.
+        InvalidConfigError: the spacing does not fit the size.
     """
     _check_size(width_m, length_m, spacing_m)
     if pattern == "random":
@@ -106,19 +106,19 @@ def tshirt(
 ) -> ClothMesh:
     """Make a flat T-shirt: front layer above the back layer, sewn at shoulders and sides.
 
-    Hem, cuffs and neck are open; the neck is cut deeper in front. Lies around z = 0, centerd at
-    the origin, neck towards +y. Canonical coordinates are the flat (x, y) and an inflated
-    height that is positive on the front, negative on the back and zero on the seams.
+    Hem, cuffs and neck are open; the neck is cut deeper in front. The T-shirt lies around z = 0,
+    centered at the origin, neck toward +y. Canonical coordinates are the flat (x, y) and an
+    inflated height that is positive on the front, negative on the back and zero on the seams.
 
     Args:
-        width_m: from cuff to cuff [m].
-        length_m: from hem to shoulder [m].
+        width_m: width from cuff to cuff [m].
+        length_m: length from hem to shoulder [m].
         spacing_m: length of an edge [m].
         layer_gap_m: distance of the layers [m] away from the seams.
-        seed: turns and shifts the lattice of each layer.
+        seed: seed for the rotation and shift of the lattice of each layer.
 
     Raises:
-        InvalidConfigError: when the spacing does not fit the size.
+        InvalidConfigError: the spacing does not fit the size.
     """
     _check_size(width_m, length_m, spacing_m)
     corners = tshirt_corners(width_m, length_m)
@@ -135,18 +135,18 @@ def two_layers(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a garment of a front on a back, sewn together where both outlines are seams.
+    """Make a garment of a front on a back that are sewn together at the seams of both outlines.
 
     Canonical coordinates are the flat (x, y) and an inflated height that is positive on the front,
     negative on the back and zero on the seams.
 
     Args:
-        front: outline [m] of the front, counter-clockwise; open edges may differ from the back's.
+        front: outline [m] of the front, counterclockwise; open edges may differ from the back's.
         back: outline of the back; its seams are those of the front.
         spacing_m: length of an edge [m].
         layer_gap_m: distance of the layers [m] away from the seams.
         open_front: whether the front of a shirt is cut along its middle.
-        seed: turns and shifts the lattice of each layer.
+        seed: seed for the rotation and shift of the lattice of each layer.
     """
     behind = triangulate(back, spacing_m, 2 * seed + 1)
     if open_front:
@@ -172,14 +172,14 @@ def shirt(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a shirt of any cut, lying flat as `tshirt` does.
+    """Make a shirt of any cut, lying flat like `tshirt`.
 
     Args:
         outline: its proportions.
-        length_m: from the hem to the neck [m].
-        vertex_count: wanted number of vertices.
+        length_m: length from the hem to the neck [m].
+        vertex_count: desired number of vertices.
         open_front: whether the front is cut along its middle, as that of a cardigan or a robe.
-        seed: turns and shifts the lattice of each layer.
+        seed: seed for the rotation and shift of the lattice of each layer.
 
     Raises:
         InvalidConfigError: the outline crosses itself.
@@ -192,13 +192,13 @@ def shirt(
 def trousers(
     outline: TrousersOutline, length_m: float, *, vertex_count: int = 1000, seed: int = 0
 ) -> ClothMesh:
-    """Make trousers of any cut, lying flat, waist towards +y; waist and two cuffs are open.
+    """Make trousers of any cut, lying flat, waist toward +y; waist and two cuffs are open.
 
     Args:
         outline: their proportions.
-        length_m: from the cuffs to the waist [m].
-        vertex_count: wanted number of vertices.
-        seed: turns and shifts the lattice of each layer.
+        length_m: length from the cuffs to the waist [m].
+        vertex_count: desired number of vertices.
+        seed: seed for the rotation and shift of the lattice of each layer.
     """
     spans = outline.spans(length_m)
     return sewn(spans, spans, vertex_count=vertex_count, seed=seed)
@@ -212,7 +212,7 @@ def sewn(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a garment of two layers (`two_layers`) with about the wanted number of vertices."""
+    """Make a garment of two layers (`two_layers`) with about the desired number of vertices."""
     return with_vertices(
         lambda edge_m: two_layers(front, back, edge_m, open_front=open_front, seed=seed),
         vertex_count,
@@ -221,7 +221,7 @@ def sewn(
 
 
 def one_layer(spans: list[Span], *, vertex_count: int = 1000, seed: int = 0) -> ClothMesh:
-    """Make a cloth of one layer in the plane z = 0 from its outline [m], counter-clockwise."""
+    """Make a cloth of one layer in the plane z = 0 from its counterclockwise outline [m]."""
 
     def cut(edge_m: float) -> ClothMesh:
         piece = triangulate(spans, edge_m, seed)
@@ -232,10 +232,10 @@ def one_layer(spans: list[Span], *, vertex_count: int = 1000, seed: int = 0) -> 
 
 
 def _edge_for(vertex_count: int, spans: list[Span], *, layers: int) -> float:
-    """Return the length of an edge [m] with which the layers have so many vertices."""
+    """Return the length of an edge [m] for which the layers have this many vertices."""
     x, y = np.concatenate([span.points[:-1] for span in spans]).T
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    # Equilateral triangles: a vertex for every sqrt(3)/2 of a squared edge.
+    # A lattice of equilateral triangles has one vertex per sqrt(3)/2 of a squared edge.
     return math.sqrt(2.0 * layers / math.sqrt(3.0) * area / vertex_count)
 
 
@@ -247,17 +247,17 @@ def garment(
     pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a flat garment with about the wanted number of vertices (within some 8 %).
+    """Make a flat garment with about the desired number of vertices (within about 8 %).
 
     Args:
         kind: "towel" or "tshirt".
-        vertex_count: wanted number of vertices.
-        size_m: width and length [m]; the usual size of the kind when None.
+        vertex_count: desired number of vertices.
+        size_m: width and length [m]; None: the default size of the kind.
         pattern: triangulation of a towel.
-        seed: turns and shifts the triangulation, where it has a free turn.
+        seed: seed for the rotation and shift of the triangulation, if it has these freedoms.
 
     Raises:
-        InvalidConfigError: for another kind, or a count that the size cannot have.
+        InvalidConfigError: the kind is unknown, or the count does not fit the size.
     """
     if kind not in DEFAULT_SIZES_M:
         raise InvalidConfigError(
@@ -278,12 +278,12 @@ def garment(
 def with_vertices(
     make: Callable[[float], ClothMesh], vertex_count: int, spacing: float
 ) -> ClothMesh:
-    """Return the mesh that comes nearest to a number of vertices.
+    """Return the mesh whose number of vertices is nearest to the desired one.
 
     Args:
-        make: a mesh of edges of a length [m].
-        vertex_count: wanted number of vertices.
-        spacing: length of an edge [m] to begin with.
+        make: makes a mesh with edges of a given length [m].
+        vertex_count: desired number of vertices.
+        spacing: initial length of an edge [m].
     """
     best = make(spacing)
     for _ in range(6):
@@ -305,13 +305,13 @@ def _check_size(width_m: float, length_m: float, spacing_m: float) -> None:
 
 
 def _rounded(share: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " vertices"]:
-    """Return a quarter circle: 0 at 0, upright there, level at 1 and beyond."""
+    """Return a quarter-circle profile: 0 at 0 with a vertical tangent, constant from 1 on."""
     rest = 1.0 - np.minimum(share, 1.0)
     return np.sqrt(1.0 - rest**2)
 
 
 def _side_by_side(pieces: list[Piece]) -> Piece:
-    """Return several pieces of one layer as one, not joined."""
+    """Return several pieces of one layer as one piece without joining them."""
     first = np.cumsum([0] + [len(piece.points) for piece in pieces[:-1]])
     return Piece(
         np.concatenate([piece.points for piece in pieces]),
@@ -325,7 +325,7 @@ def _sewn_together(
 ) -> tuple[
     Float[np.ndarray, "vertices 2"], Int[np.ndarray, "faces 3"], Float[np.ndarray, " vertices"]
 ]:
-    """Join two pieces at their sewn vertices, which lie at the same places.
+    """Join two pieces at their sewn vertices, which have the same positions.
 
     Returns the points [m], the faces (outward on both layers) and the side of each vertex:
     +1 front, -1 back, 0 on a seam.

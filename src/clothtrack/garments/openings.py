@@ -1,7 +1,7 @@
-"""Where the openings of a flat garment are: found on its outline, or pointed at by a person.
+"""Openings of a flat garment: detected on its outline, or marked by a person.
 
-Landmarks are indices of the outline's points. A garment stands upright here: neck or waist towards
-+y, its line of symmetry at x = 0, its outline counter-clockwise.
+Landmarks are indices of the outline's points. A garment is upright here: neck or waist toward +y,
+its line of symmetry at x = 0, its outline counterclockwise.
 """
 
 from dataclasses import dataclass
@@ -20,36 +20,37 @@ SewnKind = Literal["tshirt", "polo", "sweater", "trousers"]
 
 _SHIRT_STRETCHES = ("hem", "side", "cuff", "shoulder", "neck", "shoulder", "cuff", "side")
 _TROUSERS_STRETCHES = ("waist", "outer seam", "cuff", "inner seam", "cuff", "outer seam")
-"""Stretches of an outline, counter-clockwise; each begins where the one before ends."""
+"""Stretches of an outline, counterclockwise; each begins where the previous one ends."""
 
 OPENINGS = ("hem", "cuff", "neck", "waist")
 """Stretches where front and back are not sewn together."""
 
 CORNER_SHARE = 0.012
-"""A bend that leaves the straight line by this share of the garment's extent is a corner."""
+"""A bend that deviates from a straight line by this share of the garment's extent is a corner."""
 
 _SNAP_SHARE = 0.025
-"""Landmarks go to a corner that is nearer than this share of the garment's extent."""
+"""Landmarks snap to a corner that is nearer than this share of the garment's extent."""
 
 _NOTCH_SHARE = 0.015
-"""A notch of less than this share of the garment's extent is no armpit and no crotch."""
+"""A notch smaller than this share of the garment's extent is neither an armpit nor a crotch."""
 
 _NECK_DIP_SHARE = 0.008
-"""A neck less deep than this share of the garment's length cannot be told from noise."""
+"""A neckline shallower than this share of the garment's length cannot be distinguished from
+noise."""
 
 _USUAL_NECK_SHARE = 0.28
-"""Width of a neck that cannot be seen, over the width between the armpits."""
+"""Width of a neck that is not detected, as a share of the width between the armpits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Openings:
-    """An upright outline, cut at the ends of its openings.
+    """Upright outline, cut at the ends of its openings.
 
     Attributes:
-        outline: upright and counter-clockwise.
+        outline: the upright outline, counterclockwise.
         starts: index of the first point of every stretch.
-        names: what each stretch is, as in `_SHIRT_STRETCHES`.
-        neck_seen: whether the neck's ends were seen, or are a guess.
+        names: name of each stretch, as in `_SHIRT_STRETCHES`.
+        neck_seen: whether the neck's ends were detected rather than guessed.
     """
 
     outline: Silhouette
@@ -58,7 +59,7 @@ class Openings:
     neck_seen: bool = True
 
     def stretch(self, number: int) -> Outline:
-        """Return points [m] of a stretch, both ends included."""
+        """Return the points [m] of a stretch, both ends included."""
         return _between(self.outline.points, self.starts[number], self._end(number))
 
     def stretch_pixels(self, number: int) -> Outline:
@@ -70,22 +71,22 @@ class Openings:
 
 
 def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture") -> Openings:
-    """Turn a flat garment upright and find its openings.
+    """Rotate a flat garment upright and find its openings.
 
     Args:
-        outline: as seen from above.
+        outline: the outline seen from above.
         kind: the garment.
-        name: what messages call the picture.
+        name: name of the picture in messages.
 
     Raises:
         InvalidRecordingError: the outline is not that of such a garment.
     """
     angle, through = mirror_axis(outline.points)
-    centerd = outline.shifted(-through)
+    centered = outline.shifted(-through)
     search = _trousers_landmarks if kind == "trousers" else _shirt_landmarks
     candidates = []
     for turn in (angle, angle + np.pi):
-        upright = centerd.upright(turn)
+        upright = centered.upright(turn)
         landmarks = search(symmetric(upright.points))
         if landmarks is not None:
             candidates.append((landmarks.clarity, upright, landmarks))
@@ -115,16 +116,16 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
 def openings_at(
     outline: Silhouette, kind: SewnKind, pixels: Float[np.ndarray, "ends 2"]
 ) -> Openings:
-    """Return openings whose ends a person has pointed at.
+    """Return openings whose ends a person has marked.
 
     Args:
-        outline: as seen from above.
+        outline: the outline seen from above.
         kind: the garment.
         pixels: column and row of the ends of hem, cuff, neck, cuff, or of waist, cuff, cuff, in
-            their order around the garment, either way; the nearest point of the outline is taken.
+            order around the garment in either direction; the nearest outline point is used.
 
     Raises:
-        InvalidConfigError: there are too many or too few, or they are not in order.
+        InvalidConfigError: there are too many or too few ends, or they are not in order.
     """
     names = _TROUSERS_STRETCHES if kind == "trousers" else _SHIRT_STRETCHES
     wanted = 2 * sum(name in OPENINGS for name in names)
@@ -152,7 +153,7 @@ def openings_at(
 
 @dataclass(frozen=True, eq=False)
 class _Landmarks:
-    """The right half's ends of openings [m], from the bottom up, and how clear they are."""
+    """Ends of the openings on the right half [m], from bottom to top, and their clarity."""
 
     places: Outline
     clarity: float
@@ -160,7 +161,7 @@ class _Landmarks:
 
 
 def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
-    """Find hem, both ends of the cuff, and neck of a symmetric outline."""
+    """Find the hem, both ends of the cuff, and the neck of a symmetric outline."""
     points = _right_half(upright)
     if points is None:
         return None
@@ -176,13 +177,13 @@ def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
     low, high = armpit + cuff[0], armpit + cuff[1]
     if not hem < armpit <= low < high < neck:
         return None
-    # The notch opens towards the hem.
+    # The notch opens toward the hem.
     opens = points[armpit, 1] - (points[hem, 1] + points[armpit, 1] + points[low, 1]) / 3.0
     return _Landmarks(points[[hem, low, high, neck]], float(opens) / extent, seen)
 
 
 def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
-    """Find both ends of the cuff, and waist, of a symmetric outline."""
+    """Find both ends of the cuff, and the waist, of a symmetric outline."""
     points = _right_half(upright)
     if points is None:
         return None
@@ -208,13 +209,13 @@ def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
 
 
 def _right_half(points: Outline) -> Outline | None:
-    """Return the outline from the bottom of the axis x = 0 counter-clockwise to its top."""
+    """Return the outline from the bottom of the axis x = 0 counterclockwise to its top."""
     x, ahead = points[:, 0], np.roll(points[:, 0], -1)
     rising = np.flatnonzero((x <= 0.0) & (ahead > 0.0))
     falling = np.flatnonzero((x > 0.0) & (ahead <= 0.0))
     if not len(rising) or not len(falling):
         return None
-    # An outline that crosses the axis more than twice crosses it at its ends, too.
+    # If the outline crosses the axis more than twice, use the lowest and the highest crossing.
     start = int(rising[points[rising, 1].argmin()]) + 1
     stop = int(falling[points[falling, 1].argmax()])
     half = _between(points, start, stop)
@@ -222,8 +223,8 @@ def _right_half(points: Outline) -> Outline | None:
 
 
 def _deepest_notch(half: Outline) -> tuple[float, int]:
-    """Return depth [m] and deepest point of the deepest dent of a half, closed at the axis."""
-    # OpenCV takes pixels; it wants whole numbers to keep the hull's order.
+    """Return depth [m] and index of the deepest dent of a half, closed at the axis."""
+    # OpenCV expects pixels; it needs integers to keep the hull's order.
     scaled = np.rint((half - half.min(axis=0)) / np.ptp(half, axis=0).max() * 1e6).astype(np.int32)
     hull = np.unique(cv2.convexHull(scaled, returnPoints=False).ravel())
     best = (-np.inf, 0)
@@ -234,14 +235,14 @@ def _deepest_notch(half: Outline) -> tuple[float, int]:
         normal = _turned(along / max(float(np.linalg.norm(along)), 1e-12), np.pi / 2)
         depth = (half[start : end + 1] - half[start]) @ normal
         deepest = int(depth.argmax())
-        # The neck is a dent beside the axis; the armpit is not.
+        # Skip the dent at the axis, which is the neck and not the armpit.
         if end < len(half) - 1 and depth[deepest] > best[0]:
             best = (float(depth[deepest]), int(start) + deepest)
     return best
 
 
 def _farthest_from_chord(half: Outline, start: int, end: int) -> int:
-    """Return the point farthest to the right of the way from one point to another."""
+    """Return the point farthest to the right of the line from one point to another."""
     along = half[end] - half[start]
     normal = _turned(along, -np.pi / 2)
     return start + int(((half[start : end + 1] - half[start]) @ normal).argmax())
@@ -250,8 +251,9 @@ def _farthest_from_chord(half: Outline, start: int, end: int) -> int:
 def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
     """Return both ends of the cuff, on the path from the armpit around the sleeve to the neck.
 
-    Between any two corners may be the cuff: a straight edge that is square to the sleeve's upper
-    edge, and mostly to its lower one, which a short sleeve hardly has.
+    Any two corners may be the ends of the cuff. The cuff is a straight edge that is perpendicular
+    to the sleeve's upper edge, and mostly also to its lower edge, which is very short on a short
+    sleeve.
     """
     corners = corners_of(sleeve, bend_m)
     best, best_score = None, 1.0
@@ -272,7 +274,7 @@ def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
 
 
 def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
-    """Return the neck's end, where the shoulder ends; a usual place when no dip shows it."""
+    """Return the end of the neck at the shoulder (a default without a dip) and if it was seen."""
     width = 2.0 * float(half[armpit, 0])
     shoulder = int(np.flatnonzero(half[:, 0] > 0.36 * width)[-1])
     rest = half[shoulder:]
@@ -289,7 +291,7 @@ def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
 
 
 def corners_of(points: Outline, bend_m: float) -> list[int]:
-    """Return indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
+    """Return indices of an open polyline's corners, both ends included (Douglas-Peucker)."""
     start, end = points[0], points[-1]
     along = end - start
     length = float(np.linalg.norm(along))
@@ -306,13 +308,13 @@ def corners_of(points: Outline, bend_m: float) -> list[int]:
 
 
 def _once_around(indices: list[int], count: int) -> bool:
-    """Return whether points of a closed outline are named in its own order, each once."""
+    """Return whether indices of a closed outline are in its order, each once."""
     steps = np.diff([*indices, indices[0]]) % count
     return bool((steps > 0).all() and steps.sum() == count)
 
 
 def _snapped(outline: Outline, places: Outline) -> list[int]:
-    """Return the index of the corner near each place, or else of the nearest point."""
+    """Return the index of the corner near each place, or of the nearest point without one."""
     reach = _SNAP_SHARE * float(np.ptp(outline, axis=0).max())
     apart = np.linalg.norm(outline[None] - places[:, None], axis=2)
     corners = corners_of(outline, CORNER_SHARE * reach / _SNAP_SHARE)[1:-1]

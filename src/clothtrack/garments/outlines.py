@@ -1,7 +1,7 @@
-"""Outlines of garments that lie flat: what a front and a back are cut from.
+"""Outlines of flat garments, from which front and back are cut.
 
-An outline is a list of spans, counter-clockwise from the left end of the hem; sewn spans are
-seams between front and back, the others are openings.
+An outline is a list of spans, counterclockwise from the left end of the hem. Sewn spans are seams
+between front and back; the others are openings.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,27 +15,28 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.triangulation import Span
 
 _UNDERARM = 0.04
-"""A drawn sleeve's end stands off the body by more than this, over the shirt's length."""
+"""Minimum distance of a random sleeve's end from the body, as a share of the shirt's length."""
 
 NECK_POINTS = 65
-"""Corners of a neckline's half ellipse."""
+"""Points of a neckline's half ellipse."""
 
 
 @dataclass(frozen=True)
 class ShirtOutline:
-    """Proportions of a shirt, with sleeves of any length, over its length from hem to neck.
+    """Proportions of a shirt relative to its length from hem to neck, with sleeves of any length.
 
     Attributes:
         body: width under the arms.
-        waist: width at the hem over that under the arms.
-        shoulder: where the sleeve begins, out from the middle, over half the width under the arms.
-        slope: how far the shoulder falls from the neck to the sleeve.
-        armhole: from the shoulder's end down to the armpit.
+        waist: width at the hem relative to that under the arms.
+        shoulder: distance of the sleeve's start from the middle, relative to half the width under
+            the arms.
+        slope: drop of the shoulder from the neck to the sleeve.
+        armhole: distance from the end of the shoulder down to the armpit.
         sleeve: length of the sleeve's upper edge.
-        sleeve_angle_rad: how far that edge points below the horizontal [rad].
+        sleeve_angle_rad: angle of that edge below the horizontal [rad].
         cuff: width of the sleeve's end.
         neck: half the width of the neck.
-        front_depth, back_depth: how deep the neck is cut.
+        front_depth, back_depth: depth of the neckline.
     """
 
     body: float = 0.74
@@ -51,7 +52,7 @@ class ShirtOutline:
     back_depth: float = 0.03
 
     def spans(self, length_m: float, *, depth: float) -> list[Span]:
-        """Return the outline of one layer of a shirt of this length [m], the neck cut to `depth`.
+        """Return the outline of one layer of a shirt of this length [m] with this neck depth.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
@@ -80,11 +81,11 @@ class ShirtOutline:
 
 
 def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> ShirtOutline:
-    """Draw proportions of a shirt, a polo or a sweater.
+    """Draw random proportions of a shirt, a polo or a sweater.
 
     Args:
-        rng: of the draw.
-        long_sleeves: share of those with long sleeves.
+        rng: random generator.
+        long_sleeves: share of garments with long sleeves.
     """
 
     def draw() -> ShirtOutline:
@@ -121,12 +122,12 @@ _ROBE = {
 
 
 def draw_sweater(rng: np.random.Generator) -> ShirtOutline:
-    """Draw proportions of a sweater or a cardigan: wide, gathered at the hem, its shoulders low."""
+    """Draw random proportions of a sweater or cardigan: wide, narrow hem, low shoulders."""
     return _with_free_sleeves(lambda: _drawn(rng, _SWEATER))
 
 
 def draw_robe(rng: np.random.Generator) -> ShirtOutline:
-    """Draw proportions of a robe, a coat or a nightshirt: narrow for its length."""
+    """Draw random proportions of a robe, a coat or a nightshirt: narrow for its length."""
     return _with_free_sleeves(lambda: _drawn(rng, _ROBE))
 
 
@@ -135,14 +136,14 @@ def _drawn(rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]]) 
 
 
 def _with_free_sleeves(draw: Callable[[], ShirtOutline]) -> ShirtOutline:
-    """Draw until the outline does not cross itself, and its sleeves' ends stand off the body."""
+    """Draw until the outline does not cross itself and the sleeves' ends are off the body."""
     while True:
         outline = draw()
         try:
             spans = outline.spans(1.0, depth=outline.front_depth)
         except InvalidConfigError:
             continue
-        # Of the spans, up from the hem: the right side, the sleeve's lower edge.
+        # The spans after the hem are the right side (1) and the sleeve's lower edge (2).
         armpit, cuff = spans[2].points
         if cuff[0] - max(armpit[0], spans[1].points[0, 0]) > _UNDERARM:
             return outline
@@ -150,13 +151,13 @@ def _with_free_sleeves(draw: Callable[[], ShirtOutline]) -> ShirtOutline:
 
 @dataclass(frozen=True)
 class TrousersOutline:
-    """Proportions of trousers, with legs of any length, over their length from cuffs to waist.
+    """Proportions of trousers relative to their length from cuffs to waist, with any leg length.
 
     Attributes:
         waist: half the width of the waist.
-        hip: half the width at the hips, the outer seam's middle between waist and crotch.
-        rise: from the waist down to the crotch.
-        spread_rad: how far a leg's middle line points outwards [rad].
+        hip: half the width at the hips, halfway between waist and crotch.
+        rise: distance from the waist down to the crotch.
+        spread_rad: outward angle of a leg's center line [rad].
         thigh: width of a leg at the crotch.
         cuff: width of a leg's end.
     """
@@ -169,7 +170,7 @@ class TrousersOutline:
     cuff: float = 0.17
 
     def spans(self, length_m: float) -> list[Span]:
-        """Return the outline of one layer of trousers of this length [m], counter-clockwise.
+        """Return the outline of one layer of trousers of this length [m], counterclockwise.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
@@ -199,13 +200,13 @@ class TrousersOutline:
 
 
 def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersOutline:
-    """Draw proportions of trousers.
+    """Draw random proportions of trousers.
 
     Args:
-        rng: of the draw.
-        short: share of those with short legs.
+        rng: random generator.
+        short: share of trousers with short legs.
     """
-    # Short legs leave a waist and a rise that are long for the whole.
+    # With short legs, waist and rise are large relative to the length.
     scale = rng.uniform(1.5, 2.2) if rng.random() < short else 1.0
     hip = scale * rng.uniform(0.22, 0.28)
     while True:
@@ -225,9 +226,9 @@ def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersO
 
 
 def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
-    """Return right half of the usual T-shirt [m], from the hem up to the neck.
+    """Return the right half of the standard T-shirt [m], from the hem up to the neck.
 
-    The body takes three fifths of the width from cuff to cuff; sleeves slope downwards.
+    The body takes three fifths of the width from cuff to cuff; sleeves slope downward.
     """
     top = length_m / 2.0
     return np.array(
@@ -243,11 +244,11 @@ def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
 
 
 def shirt_spans(right: Float[np.ndarray, "6 2"], *, neck_depth_m: float) -> list[Span]:
-    """Return the outline of one layer of a shirt that is its own mirror image.
+    """Return the symmetric outline of one layer of a shirt.
 
     Args:
         right: its right half [m]: hem, armpit, lower and upper end of the cuff, shoulder, neck.
-        neck_depth_m: how deep the neck is cut [m].
+        neck_depth_m: depth of the neckline [m].
     """
     turn = np.linspace(0.0, np.pi, NECK_POINTS)
     (neck, top) = right[-1]
@@ -271,7 +272,7 @@ def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
     """Cut the outline of a shirt (`shirt_spans`) along its middle, from the neck to the hem.
 
     Returns:
-        The outlines of the left and of the right half, counter-clockwise; the cut is open.
+        The outlines of the left and of the right half, counterclockwise; the cut is open.
     """
     number = len(spans) // 2
     hem, up, neck, down = spans[0], spans[1:number], spans[number], spans[number + 1 :]
@@ -290,7 +291,7 @@ def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
 
 
 def _crosses_itself(corners: Float[np.ndarray, "corners 2"]) -> bool:
-    """Return whether two stretches of an open polyline that do not meet cross each other."""
+    """Return whether two nonadjacent segments of an open polyline cross each other."""
 
     def turns(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
         return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])

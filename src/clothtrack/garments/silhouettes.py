@@ -15,20 +15,20 @@ Outline = Float[np.ndarray, "_ 2"]
 ToPlane = Callable[[Outline], Outline]
 
 _OUTLINE_POINTS = 1200
-"""Points of an outline, equally far apart: 2 to 4 mm for most garments."""
+"""Number of equally spaced points of an outline; 2 to 4 mm apart for most garments."""
 
 _SMALLEST_CLOTH_PX = 400
-"""A cloth of fewer pixels has no outline worth measuring."""
+"""Minimum pixels of a cloth whose outline can be measured."""
 
 _SMOOTHING_PX = 13.0
-"""Length of the outline [pixels] to which a parabola is fitted: a border wrong by two pixels comes
-out right to one, and a corner keeps its place within two."""
+"""Length of the outline [pixels] to which a parabola is fitted. It reduces border errors of two
+pixels to one, and moves corners by at most two."""
 
 _SPECK_SHARE = 0.02
-"""A second piece or a hole of more than this share of the cloth is none of the sensor's specks."""
+"""A second piece or a hole with more than this share of the cloth is not a speck of the sensor."""
 
 _MEDIAN_PX = 5
-"""Side of the square [pixels] whose majority a pixel of the mask follows: gaps and hairs go."""
+"""Side of the median filter's square [pixels]; the filter removes gaps and hairs of the mask."""
 
 _SUBPIXELS = 4
 _ANGLES = 180
@@ -38,10 +38,10 @@ _SYMMETRY_GRID = 512
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A flat garment's outline, counter-clockwise as seen from above.
+    """Outline of a flat garment, counterclockwise as seen from above.
 
     Attributes:
-        points: on the table [m], y away from the reader of the picture.
+        points: points on the table [m], y away from the viewer of the picture.
         pixels: the same points in the picture: column and row.
     """
 
@@ -49,16 +49,16 @@ class Silhouette:
     pixels: Outline
 
     def upright(self, angle_rad: float) -> "Silhouette":
-        """Turn about the origin so that the direction of this angle [rad] points along +y."""
+        """Rotate about the origin so that the direction of this angle [rad] points along +y."""
         cosine, sine = np.cos(angle_rad - np.pi / 2), np.sin(angle_rad - np.pi / 2)
         return replace(self, points=self.points @ np.array([[cosine, -sine], [sine, cosine]]))
 
     def shifted(self, by: Float[np.ndarray, " 2"]) -> "Silhouette":
-        """Move on the table [m]."""
+        """Shift on the table [m]."""
         return replace(self, points=self.points + by)
 
     def mirrored(self) -> "Silhouette":
-        """Reflect in the axis x = 0; the outline stays counter-clockwise."""
+        """Reflect in the axis x = 0; the outline stays counterclockwise."""
         return Silhouette((self.points * (-1.0, 1.0))[::-1], self.pixels[::-1])
 
 
@@ -68,10 +68,10 @@ def silhouette(
     """Return the outline of the cloth in a mask.
 
     Args:
-        mask: where the cloth is.
-        to_plane: places on the table [m] of pixels (column and row, centers at whole numbers),
+        mask: pixels of the cloth.
+        to_plane: maps pixels (column and row, centers at integers) to positions on the table [m],
             seen from above.
-        name: what messages call the picture.
+        name: name of the picture in messages.
 
     Raises:
         InvalidRecordingError: there is no cloth, it is in two pieces, leaves the picture, or has a
@@ -86,7 +86,7 @@ def silhouette(
         (fine > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
     contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
-    # The contour runs through the middle of the outermost subpixels.
+    # The contour runs through the centers of the outermost subpixels.
     pixels = _evenly((contour + 0.5) / _SUBPIXELS - 0.5 - margin, _OUTLINE_POINTS)
     step_px = float(np.linalg.norm(np.diff(pixels, axis=0), axis=1).mean())
     window = 2 * round(0.5 * max(5.0, _SMOOTHING_PX / step_px)) + 1
@@ -98,16 +98,16 @@ def silhouette(
 
 
 def signed_area(polygon: Outline) -> float:
-    """Return area [m^2] of a polygon, positive when it runs counter-clockwise."""
+    """Return the area [m^2] of a polygon, positive if it is counterclockwise."""
     x, y = polygon.T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def mirror_axis(points: Outline) -> tuple[float, Float[np.ndarray, " 2"]]:
-    """Return the line in which an outline is most nearly its own mirror image.
+    """Return the line about which an outline is most symmetric.
 
     Returns:
-        Its direction [rad], one of two, and a point of it [m].
+        Its direction [rad], one of two, and a point on it [m].
     """
     grid = _Grid(points)
     center = grid.centroid
@@ -129,9 +129,9 @@ def mirror_axis(points: Outline) -> tuple[float, Float[np.ndarray, " 2"]]:
 
 
 def symmetric(points: Outline) -> Outline:
-    """Return the outline halfway between one and its mirror image in the axis x = 0.
+    """Return the outline halfway between an outline and its mirror image in the axis x = 0.
 
-    Where their signed distances cancel: noise becomes less, and both halves are alike.
+    It is where their signed distances cancel. This reduces noise and makes both halves equal.
     """
     reach = 1.1 * float(np.abs(points).max())
     scale = _SYMMETRY_GRID / (2.0 * reach)
@@ -151,7 +151,7 @@ def symmetric(points: Outline) -> Outline:
 
 
 class _Grid:
-    """An outline drawn on a grid, to be compared with others."""
+    """Outline drawn on a grid, for comparison with others."""
 
     def __init__(self, points: Outline) -> None:
         reach = 1.2 * float(np.ptp(points, axis=0).max())
@@ -162,7 +162,7 @@ class _Grid:
         self.centroid = np.array([columns.mean(), rows.mean()]) / self._scale + self._origin
 
     def overlap(self, points: Outline) -> float:
-        """Return intersection over union with another outline."""
+        """Return the intersection over union with another outline."""
         other = self._draw(points)
         return float((self._drawn & other).sum() / max(1, (self._drawn | other).sum()))
 
@@ -188,7 +188,7 @@ def _evenly(closed: Outline, count: int) -> Outline:
 def _whole_cloth(
     mask: Bool[np.ndarray, "height width"], name: str
 ) -> Bool[np.ndarray, "height width"]:
-    """Return the one piece of cloth of a mask, its specks filled."""
+    """Return the single piece of cloth in a mask, with specks filled."""
     closed = cv2.medianBlur(mask.astype(np.uint8), _MEDIAN_PX)
     _, label, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].copy()

@@ -1,4 +1,4 @@
-"""Even triangulations of flat outlines: the pattern pieces that garments are sewn from."""
+"""Uniform triangulations of flat outlines: the pattern pieces that garments are sewn from."""
 
 from dataclasses import dataclass
 
@@ -7,36 +7,36 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
 _CLEARANCE_OF_BOUNDARY = 0.65
-"""Interior points keep this many spacings from the outline, so that every outline edge survives."""
+"""Minimum distance of interior points from the outline, in spacings, to keep every outline edge."""
 
 SMOOTHING_ROUNDS = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """A stretch of an outline, from one corner to the next.
+    """Part of an outline from one corner to the next.
 
     Attributes:
-        points: a polyline [m] in the plane; both ends are corners that the mesh keeps.
-        sewn: whether the stretch is a seam to another layer, or an open edge of the cloth.
+        points: polyline [m] in the plane; both ends are corners that the mesh keeps.
+        sewn: whether the span is a seam to another layer rather than an open edge.
     """
 
     points: Float[np.ndarray, "points 2"]
     sewn: bool = False
 
     def resampled(self, spacing: float) -> Float[np.ndarray, "samples 2"]:
-        """Return equally spaced points about `spacing` [m] apart, the last corner left out."""
+        """Return equally spaced points about `spacing` [m] apart, without the last corner."""
         length = _arc_lengths(self.points)[-1]
         return evenly_along(self.points, max(1, round(length / spacing)) + 1)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A triangulated outline; the outline's vertices come first, counter-clockwise.
+    """Triangulated outline; the outline's vertices come first, counterclockwise.
 
     Attributes:
         points: vertices [m] in the plane.
-        faces: triangles, counter-clockwise.
+        faces: triangles, counterclockwise.
         sewn: which vertices lie on a seam.
     """
 
@@ -62,7 +62,7 @@ def _arc_lengths(points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " p
 def distance_to_polyline(
     points: Float[np.ndarray, "points 2"], polyline: Float[np.ndarray, "corners 2"]
 ) -> Float[np.ndarray, " points"]:
-    """Return distance [m] of each point to an open polyline in the plane."""
+    """Return the distance [m] of each point to an open polyline in the plane."""
     start, along = polyline[:-1], np.diff(polyline, axis=0)
     nearest = np.full(len(points), np.inf)
     for origin, direction in zip(start, along, strict=True):
@@ -90,18 +90,18 @@ def inside(
 def triangulate(spans: list[Span], spacing: float, seed: int) -> Piece:
     """Triangulate an outline almost equilaterally, with vertices on the outline itself.
 
-    A triangular lattice, turned and shifted at random, fills the inside; Delaunay triangulation
-    and Laplacian smoothing alternate until the lattice meets the outline evenly. No edge inside
-    the piece joins two sewn vertices: sewing two layers would make that edge non-manifold.
+    A triangular lattice with random rotation and shift fills the inside. Delaunay triangulation
+    and Laplacian smoothing alternate until the lattice meets the outline evenly. No edge inside the
+    piece joins two sewn vertices, because sewing two layers would make that edge non-manifold.
 
     Args:
-        spans: the outline, counter-clockwise; each span starts where the one before ends.
+        spans: the outline, counterclockwise; each span starts where the previous one ends.
         spacing: length of an edge [m].
-        seed: chooses the turn and the shift of the lattice.
+        seed: seed for the rotation and shift of the lattice.
     """
     samples = [span.resampled(spacing) for span in spans]
     outline = np.concatenate(samples)
-    # A corner belongs to the seam when either of its two spans is sewn.
+    # A corner belongs to the seam if either of its two spans is sewn.
     sewn = np.concatenate(
         [np.full(len(points), span.sewn) for span, points in zip(spans, samples, strict=True)]
     )
@@ -142,7 +142,7 @@ def _delaunay(
     faces = Delaunay(points).simplices.astype(np.int32)
     area = _signed_areas(points, faces)
     faces[area < 0] = faces[area < 0][:, ::-1]
-    # Corners in a row on a straight edge leave triangles of no area outside it.
+    # Collinear points on a straight edge cause triangles of zero area outside it.
     kept = (np.abs(area) > 1e-3 * spacing**2) & inside(points[faces].mean(axis=1), outline)
     return faces[kept]
 
@@ -158,7 +158,7 @@ def _signed_areas(
 def _neighbor_mean(
     points: Float[np.ndarray, "points 2"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "points 2"]:
-    # Inside a piece each edge is met twice, once from each of its triangles: a plain mean.
+    # Inside a piece each edge counts twice, once per triangle, so the mean is unweighted.
     ends = np.concatenate([faces, faces[:, ::-1]])[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     total = np.zeros_like(points)
     np.add.at(total, ends[:, 0], points[ends[:, 1]])

@@ -1,7 +1,7 @@
-"""Axis-aligned boxes in blocks of eight that are tested at once, and the order that fills them.
+"""Axis-aligned boxes in blocks of eight that are tested at once, and the order of their items.
 
 `boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner (k = 3, 4, 5) [m] of the
-box at one of eight places of a block.
+box at one of the eight places of a block.
 """
 
 from typing import no_type_check
@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, Int
 wp.set_module_options({"enable_backward": False})
 
 EIGHT = 8
-"""Boxes that are tested at once."""
+"""Number of boxes that are tested at once."""
 
 _EIGHT = wp.constant(EIGHT)
 
@@ -54,7 +54,7 @@ _FIND_TOUCHING = """
 @no_type_check
 @wp.func_native(_FIND_TOUCHING)
 def find_touching(box: Box, boxes: wp.array3d(dtype=float), eight: int, bits: wp.ref[wp.uint32]):
-    """Set a bit for each box of a block that touches another box."""
+    """Set a bit for each box of a block that touches a given box."""
 
 
 _KEEP_STRANGERS = """
@@ -83,7 +83,7 @@ _KEEP_STRANGERS = """
 def keep_strangers(
     one: int, other: int, corners: wp.array3d(dtype=int), eight: int, bits: wp.ref[wp.uint32]
 ):
-    """Keep the bits of triangles of a block that contain neither of two vertices."""
+    """Clear the bits of triangles of a block that contain one of two vertices."""
 
 
 _TAKE_LOWEST = """
@@ -99,7 +99,7 @@ _TAKE_LOWEST = """
 @no_type_check
 @wp.func_native(_TAKE_LOWEST)
 def take_lowest(bits: wp.ref[wp.uint32], place: wp.ref[wp.int32]):
-    """Clear the lowest set bit, of which there must be one, and return its place."""
+    """Clear the lowest set bit and return its place; at least one bit must be set."""
 
 
 @no_type_check
@@ -124,7 +124,7 @@ def put_box(box: Box, boxes: wp.array3d(dtype=float), eight: int, place: int):
 @no_type_check
 @wp.func
 def no_box():
-    """Return a box that touches no finite one and adds nothing to another."""
+    """Return an empty box, which touches no finite box and does not enlarge others."""
     box = Box()
     box.low = wp.vec3(wp.inf, wp.inf, wp.inf)
     box.high = -box.low
@@ -152,14 +152,15 @@ def around_eight(boxes: wp.array3d(dtype=float), eight: int):
 
 
 def blocks(count: int, size: int) -> int:
-    """Return the number of blocks of `size` that hold `count` items."""
+    """Return the number of blocks of `size` needed for `count` items."""
     return -(-count // size)
 
 
 def along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " points"]:
     """Return the order of points along a Morton curve.
 
-    Ten bits of each coordinate are spread, two zeros between them, and the three interleaved.
+    Ten bits of each coordinate are spread with two zeros between them, then the three coordinates
+    are interleaved.
     """
     above = points - points.min(axis=0)
     code = (above * (1023.0 / max(float(above.max()), 1e-30))).astype(np.int64)
@@ -169,5 +170,5 @@ def along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " poin
 
 
 def no_boxes(*shape: int) -> Float32[np.ndarray, "..."]:
-    """Return boxes that nothing touches, not even an infinite box: their corners are NaN."""
+    """Return boxes that touch nothing, not even an infinite box, because their corners are NaN."""
     return np.full((*shape, 6, EIGHT), np.nan, np.float32)

@@ -10,7 +10,7 @@ from clothtrack.errors import InvalidRecordingError
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where a camera stands and how it projects.
+    """Pose and projection of a camera.
 
     Attributes:
         name: the camera's name in the recording.
@@ -18,8 +18,8 @@ class Camera:
         height: image height [pixels].
         fx: focal length along x [pixels].
         fy: focal length along y [pixels].
-        cx: column of the principal point [pixels]; outside the image where that was cut out of a
-            larger one.
+        cx: column of the principal point [pixels]; it may be outside an image that was cropped
+            from a larger one.
         cy: row of the principal point [pixels], as `cx`.
         world_from_camera: rigid transform, camera frame to world frame.
     """
@@ -34,7 +34,7 @@ class Camera:
     world_from_camera: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
-        """Refuse what is not a rigid pinhole camera.
+        """Reject values that are not a rigid pinhole camera.
 
         Raises:
             InvalidRecordingError: with the field, its value and the limit.
@@ -45,7 +45,7 @@ class Camera:
                     f"camera {self.name!r}: {name} is {getattr(self, name)}; it must be positive"
                 )
         for name, size in (("cx", self.width), ("cy", self.height)):
-            # A picture that was cut out of a larger one may have it beside itself.
+            # The principal point of a cropped picture may be outside it.
             if not abs(getattr(self, name) - (size - 1) / 2) <= 1.5 * size:
                 raise InvalidRecordingError(
                     f"camera {self.name!r}: {name} is {getattr(self, name)}, more than a picture "
@@ -56,7 +56,7 @@ class Camera:
             raise InvalidRecordingError(f"camera {self.name!r}: world_from_camera {problem}")
 
     def _likely_swap(self) -> str:
-        """Return what to do about a principal point far outside the image."""
+        """Return advice about a principal point far outside the image."""
         if 0 <= self.fx < self.width and 0 <= self.fy < self.height:
             return "were fx, fy and cx, cy swapped? The focal lengths are fx and fy"
         return "give the intrinsics of pictures of this size"
@@ -89,7 +89,7 @@ class Camera:
     ) -> Float[np.ndarray, "points 3"]:
         """Return pixels with a measurement (depth > 0) inside the mask as world points [m]."""
         chosen = depth > 0 if mask is None else (depth > 0) & mask
-        # One number per pixel first: an order of magnitude faster than a search for rows.
+        # Use one index per pixel: an order of magnitude faster than a search for rows and columns.
         places = np.flatnonzero(chosen).astype(np.int32)
         rows = places // depth.shape[1]
         columns = places - rows * depth.shape[1]
@@ -98,19 +98,19 @@ class Camera:
         np.multiply((columns - self.cx) / self.fx, local[:, 2], out=local[:, 0])
         np.multiply((rows - self.cy) / self.fy, local[:, 2], out=local[:, 1])
         points = local @ self.world_from_camera[:3, :3].T
-        # Axis by axis: what is done along rows of three is slow.
+        # Process axis by axis, because operations along rows of three are slow.
         for axis, at in enumerate(self.position):
             points[:, axis] += at
         return points
 
     def scaled(self, factor: float) -> "Camera":
-        """Return the same camera in a world that is larger by a factor."""
+        """Return the camera in a world that is larger by a factor."""
         pose = np.array(self.world_from_camera, dtype=np.float64)
         pose[:3, 3] *= factor
         return replace(self, world_from_camera=pose)
 
     def turned(self, angle_rad: float) -> "Camera":
-        """Return the same camera in a world that is turned about its vertical axis."""
+        """Return the camera in a world that is rotated about its vertical axis."""
         pose = np.array(self.world_from_camera, dtype=np.float64)
         pose[:3] = about_vertical(angle_rad) @ pose[:3]
         return replace(self, world_from_camera=pose)
@@ -131,7 +131,7 @@ class Camera:
 
 
 def rigid_problem(matrix: Float[np.ndarray, "4 4"]) -> str:
-    """Return why a matrix is no rigid transform, and what to do; empty where it is one."""
+    """Return why a matrix is not a rigid transform, and what to do; empty if it is one."""
     rotation = matrix[:3, :3]
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if not (error < 1e-3 and np.linalg.det(rotation) > 0):
@@ -145,6 +145,6 @@ def rigid_problem(matrix: Float[np.ndarray, "4 4"]) -> str:
 
 
 def about_vertical(angle_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Return rotation by an angle about z, from x towards y."""
+    """Return the rotation by an angle about z, from x toward y."""
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])

@@ -10,10 +10,10 @@ from clothtrack.errors import InvalidConfigError
 def one_way(
     points_from: Float[np.ndarray, "points 3"], points_to: Float[np.ndarray, "others 3"]
 ) -> float:
-    """Return mean squared distance [m^2] of each point to the nearest of the other points.
+    """Return the mean squared distance [m^2] of each point to the nearest of the other points.
 
     Raises:
-        InvalidConfigError: when one of the sets is empty: there is no nearest point.
+        InvalidConfigError: one of the sets is empty, so there is no nearest point.
     """
     if not len(points_from) or not len(points_to):
         raise InvalidConfigError(
@@ -27,5 +27,5 @@ def one_way(
 def two_way(
     points_a: Float[np.ndarray, "points 3"], points_b: Float[np.ndarray, "others 3"]
 ) -> float:
-    """Return both one-way distances, summed [m^2] (paper: "Chamfer"); RMS: root of half of it."""
+    """Return the sum of both one-way distances [m^2] (paper: "Chamfer"); RMS: root of its half."""
     return one_way(points_a, points_b) + one_way(points_b, points_a)

@@ -1,4 +1,4 @@
-"""The point of a triangle mesh that is closest to a given point, exactly."""
+"""Exact closest point of a triangle mesh to a given point."""
 
 from itertools import pairwise
 
@@ -17,8 +17,8 @@ def closest_on_mesh(
 ) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"]]:
     """Return face and barycentric coordinates of the closest point of a mesh, for each point.
 
-    Exact: a face can only beat the face with the nearest center when its own center lies within
-    that face's distance plus its own radius, and all such faces are tried.
+    The result is exact. A face can be closer than the face with the nearest center only if its own
+    center lies within that face's distance plus its own radius, and all such faces are tested.
 
     Args:
         points: query points [m].
@@ -55,7 +55,8 @@ def closest_on_triangle(
 ) -> Float[np.ndarray, "pairs 3"]:
     """Return the barycentric coordinates of each triangle's closest point.
 
-    Inside the triangle it is the projection; else the closest of the three edges' points.
+    If the projection lies inside the triangle, it is the closest point; otherwise it is the closest
+    point on the three edges.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac, ap = b - a, c - a, points - a
@@ -95,7 +96,7 @@ def _gaps(
     corners: Float[np.ndarray, "pairs 3 3"],
     weights: Float[np.ndarray, "pairs 3"],
 ) -> Float[np.ndarray, " pairs"]:
-    """Return distance of each point from the weighted mean of its triangle's corners."""
+    """Return the distance of each point from the weighted mean of its triangle's corners."""
     return np.linalg.norm(interpolate(weights, corners) - points, axis=1)
 
 
@@ -104,7 +105,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _chunks(counts: Int[np.ndarray, " points"]) -> list[slice]:
-    """Return runs of points with a bounded number of candidate pairs."""
+    """Return consecutive slices of points with a bounded number of candidate pairs."""
     total = np.cumsum(counts)
     cuts = [0]
     while cuts[-1] < len(counts):

@@ -1,4 +1,4 @@
-"""A Warp kernel that asks the tree of a triangle mesh which face is nearest to each point."""
+"""Warp kernel that finds the face nearest to each point in the tree of a triangle mesh."""
 
 from typing import no_type_check
 
@@ -7,7 +7,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 _ANYWHERE = wp.constant(1.0e10)
-"""Faces within this distance are looked at [m]; its square is a number in single precision."""
+"""Search distance for faces [m]; its square is finite in single precision."""
 
 
 @no_type_check

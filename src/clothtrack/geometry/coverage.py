@@ -1,4 +1,4 @@
-"""Coverage: how much of the table a cloth hides, layers counted once."""
+"""Coverage: the area of the table that a cloth hides, layers counted once."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,12 +15,12 @@ def projected_area(
     faces: Int[np.ndarray, "faces 3"],
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> float:
-    """Return area [m^2] of the union of all triangles, seen along a direction.
+    """Return the area [m^2] of the union of all triangles, seen along a direction.
 
-    No raster: the boundary of the union consists of pieces of mesh edges (hems and silhouettes)
-    that no triangle covers from outside, and Green's theorem turns these pieces into the area.
-    Which part of an edge a triangle covers is a clipping with three lines. Nothing has to be
-    assembled into polygons, so that rounding moves ends of pieces but cannot break the result.
+    No raster is used. The boundary of the union consists of pieces of mesh edges (hems and
+    silhouettes) that no triangle covers from outside, and Green's theorem turns these pieces into
+    the area. Clipping with three lines gives the part of an edge that a triangle covers. No
+    polygons are assembled, so rounding moves ends of pieces but cannot break the result.
 
     Layers that coincide exactly (a garment flat on itself) would be ambiguous; vertices are
     therefore shifted by random amounts of a billionth of the mesh's extent first. The result is
@@ -31,7 +31,7 @@ def projected_area(
     if not len(edges):
         return 0.0
     start, end = points[edges[:, 0]], points[edges[:, 1]]
-    # The inside to the left of every edge.
+    # Orient every edge with the inside on its left.
     turn = _cross(end - start, points[opposite] - start) < 0
     start[turn], end[turn] = end[turn], start[turn].copy()
     edge, first, last = _covered(points, faces, edges, start, end)
@@ -39,7 +39,7 @@ def projected_area(
 
 
 def _projected(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return two coordinates across the normal, centerd, in general position."""
+    """Return two coordinates across the normal, centered, in general position."""
     normal = normal / np.linalg.norm(normal)
     helper = np.eye(3)[np.argmin(np.abs(normal))]
     right = np.cross(helper, normal)
@@ -55,7 +55,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _boundary_candidates(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return edges whose triangles all lie on one side, and the far corner of one of these."""
+    """Return edges with all triangles on one side, and the opposite corner of one of these."""
     keys, far = sides_of(faces), faces[:, [2, 0, 1]].reshape(-1)
     side = _cross(points[keys[:, 1]] - points[keys[:, 0]], points[far] - points[keys[:, 0]]) > 0
     edges, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -72,7 +72,7 @@ def _covered(
     start: np.ndarray,
     end: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return parts of edges (0 to 1 along each) inside triangles that are not the edge's own."""
+    """Return parts of edges (0 to 1 along each) inside triangles that do not contain the edge."""
     corners = points[faces]
     clockwise = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[clockwise] = corners[clockwise][:, ::-1]
@@ -83,7 +83,7 @@ def _covered(
     near = tree.query_ball_point(0.5 * (start + end), reach)
     counts = np.array([len(each) for each in near])
     parts = []
-    # Neighboring edges together, never more pairs than fit into memory.
+    # Process neighboring edges together, with no more pairs than fit into memory.
     group = np.cumsum(counts) // _PAIRS_AT_ONCE
     for members in np.split(np.arange(len(edges)), np.flatnonzero(np.diff(group)) + 1):
         edge = np.repeat(members, counts[members])
@@ -98,7 +98,7 @@ def _covered(
 
 
 def _clip(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and last place (0 to 1) of segments inside counter-clockwise triangles."""
+    """Return the first and last position (0 to 1) of segments in counterclockwise triangles."""
     first, last = np.zeros(len(start)), np.ones(len(start))
     for a, b in ((0, 1), (1, 2), (2, 0)):
         side = corners[:, b] - corners[:, a]
@@ -118,15 +118,15 @@ def _clip(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> tuple[np.n
 def _uncovered_area(
     start: np.ndarray, end: np.ndarray, edge: np.ndarray, first: np.ndarray, last: np.ndarray
 ) -> float:
-    """Return Green's integral over what is left of each edge after its covered parts.
+    """Return Green's integral over the uncovered parts of each edge.
 
     The integral of x dy - y dx along a straight piece is proportional to the piece's length, so
-    that only the covered length of each edge is needed.
+    only the covered length of each edge is needed.
     """
     order = np.lexsort((first, edge))
     edge, first, last = edge[order], first[order], last[order]
     covered = np.zeros(len(start))
-    # Union of intervals for all edges at once: shifted by 2 per edge they cannot meet.
+    # Unite the intervals of all edges at once; shifted by 2 per edge they cannot overlap.
     low, high = first + 2.0 * edge, last + 2.0 * edge
     if len(edge):
         reached = np.concatenate([[-1.0], np.maximum.accumulate(high)[:-1]])

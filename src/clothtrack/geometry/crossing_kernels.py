@@ -1,7 +1,7 @@
-"""Which edges pass through which triangles of one mesh, found by tests of eight boxes at once.
+"""Find edges that pass through triangles of one mesh, by tests of eight boxes at once.
 
-A tree of two levels: each block of eight boxes has a box around it, and these are blocks of eight
-as well. Triangles come first; edges follow from the next full block of blocks on.
+The boxes form a tree of two levels: each block of eight boxes has a box around it, and these boxes
+also form blocks of eight. Triangles come first; edges start at the next full block of blocks.
 """
 
 from typing import no_type_check
@@ -36,10 +36,10 @@ def find_boxes(
     boxes: wp.array3d(dtype=float),
     around: wp.array3d(dtype=float),
 ):
-    """Find boxes of triangles and edges, and the box around each block; one thread per block.
+    """Compute boxes of triangles and edges, and the box around each block; one thread per block.
 
-    Those of edges are `slack` wider [m]: points are rounded to single precision. `corners` are -1
-    where an eight is not full.
+    Boxes of edges are enlarged by `slack` [m], because points are rounded to single precision.
+    `corners` are -1 at empty places of a block.
     """
     eight = wp.tid()
     margin = wp.vec3(0.0, 0.0, 0.0)
@@ -122,10 +122,10 @@ def list_crossings(
     found: wp.array(dtype=wp.vec2i),
     count: wp.array(dtype=int),
 ):
-    """List in any order which edge passes through which triangle that has no vertex of it.
+    """List in any order the edges and the triangles without a common vertex that they cross.
 
-    What finds no slot is counted, not listed. What lies in the boxes is tried in double precision.
-    One thread for each eight of eights of edges.
+    Crossings without a free slot are counted but not listed. Candidates whose boxes touch are
+    tested in double precision. One thread handles eight blocks of eight edges.
     """
     edge_block = first_edges // _EIGHT + wp.tid()
     whole = around_eight(around, edge_block)

@@ -1,4 +1,4 @@
-"""Finds which edges of one mesh pass through which of its triangles, wherever its vertices are."""
+"""Find the edges of a mesh that pass through its triangles, for any vertex positions."""
 
 import numpy as np
 import warp as wp
@@ -9,7 +9,7 @@ from clothtrack.geometry.boxes import EIGHT, along_curve, blocks, no_boxes
 
 
 class CrossingSearch:
-    """Crossings of one mesh with itself, found again and again; at least one triangle."""
+    """Reusable search for self-crossings of one mesh with at least one triangle."""
 
     def __init__(
         self,
@@ -34,12 +34,12 @@ class CrossingSearch:
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
         """Return edges and the triangles without a common vertex that they pass through.
 
-        They are sorted by the number of the edge, then of the triangle; positions [m] are finite.
+        They are sorted by edge index, then by triangle index. Positions [m] must be finite.
         """
         exact = np.ascontiguousarray(vertices, np.float64)
         if self._corners is None:
             self._corners = self._ordered(exact)
-        # Rounding to single precision, many times over.
+        # Allow many times the rounding error of single precision.
         slack = 1e-6 * float(np.abs(exact).max(initial=0.0))
         wp.launch(
             kernels.find_boxes,
@@ -63,7 +63,7 @@ class CrossingSearch:
         return edge, face
 
     def _list(self, points: wp.array) -> int:
-        """Launch the search; how many crossings there are, which may be more than are listed."""
+        """Launch the search; return the number of crossings, which may exceed those listed."""
         self._count.zero_()
         wp.launch(
             kernels.list_crossings,
@@ -77,7 +77,8 @@ class CrossingSearch:
     def _ordered(self, vertices: Float[np.ndarray, "vertices 3"]) -> wp.array:
         """Return the vertices of triangles and edges, sorted so that near ones share a block.
 
-        They stay near each other, because they are of one cloth. An edge repeats its second vertex.
+        They stay near each other because they belong to one cloth. An edge repeats its second
+        vertex.
         """
         corners = np.full((EIGHT * self._eights, 3), -1, np.int32)
         for start, given in (

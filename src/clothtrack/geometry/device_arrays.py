@@ -1,17 +1,17 @@
-"""Writes arrays of NumPy into arrays of Warp that exist already."""
+"""Write NumPy arrays into existing Warp arrays."""
 
 import numpy as np
 import warp as wp
 
 
 def overwrite(array: wp.array, values: np.ndarray) -> None:
-    """Write values into an array; on a CPU without a copy in between.
+    """Write values into an array; on a CPU without an intermediate copy.
 
-    `wp.array.assign` makes an array of its own first, which takes longer than the copy.
+    `wp.array.assign` first creates a temporary array, which takes longer than the copy.
 
     Args:
-        array: of any type; its memory is kept.
-        values: as many, or one row (first axis) that is given to all rows.
+        array: an array of any type; its memory is kept.
+        values: values of the same shape, or one row (first axis) that is copied to all rows.
     """
     if wp.get_device(array.device).is_cpu:
         np.copyto(array.numpy(), values)

@@ -1,4 +1,4 @@
-"""Which devices there are to compute on, and how much Warp says about them."""
+"""Available compute devices, and verbosity of Warp."""
 
 import ctypes
 import os
@@ -12,10 +12,11 @@ from clothtrack.errors import InvalidConfigError
 
 
 def quiet_warp() -> None:
-    """Keep Warp from greeting on standard output, where results go; errors are still told.
+    """Keep Warp from printing its banner on standard output, where results go; keep errors.
 
-    For programs and worker processes; importing clothtrack does not touch Warp's settings. A
-    machine without a CUDA driver is no error either: Warp's library says so on every start.
+    This is for programs and worker processes; importing clothtrack does not change Warp's settings.
+    It also hides the message that Warp's library prints at every start without a CUDA driver,
+    because a machine without one is not an error.
     """
     wp.config.log_level = wp.LOG_ERROR
     if not _has_cuda_driver():
@@ -24,7 +25,7 @@ def quiet_warp() -> None:
 
 
 def device_names() -> list[str]:
-    """Return the devices of this machine, a GPU with its name: "cuda:0 (NVIDIA H100)"."""
+    """Return the devices of this machine; a GPU has its name: "cuda:0 (NVIDIA H100)"."""
     return [
         f"{device.alias} ({device.name})" if device.is_cuda else device.alias
         for device in wp.get_devices()
@@ -32,10 +33,10 @@ def device_names() -> list[str]:
 
 
 def require_device(name: str) -> None:
-    """Refuse a device that this machine does not have.
+    """Reject a device that this machine does not have.
 
     Raises:
-        InvalidConfigError: naming the devices that it has.
+        InvalidConfigError: the device does not exist; the message lists those that do.
     """
     known = [device.alias for device in wp.get_devices()]
     if name not in known:
@@ -54,7 +55,7 @@ def _has_cuda_driver() -> bool:
 
 @contextmanager
 def _standard_error_closed() -> Iterator[None]:
-    """Discard what a library writes to the process's standard error."""
+    """Discard the output of a library to the process's standard error."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

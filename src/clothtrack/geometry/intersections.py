@@ -1,10 +1,9 @@
-"""The lines along which a mesh passes through itself: its crossings, joined into contours.
+"""Self-intersections of a mesh: its crossings, joined into contours.
 
-A crossing is an edge that passes through a triangle. Where two triangles cut each other their line
-of intersection runs from one crossing to another; all that hang together are a contour. P. Volino
+A crossing is an edge that passes through a triangle. If two triangles cut each other, their line of
+intersection runs from one crossing to another. A contour is a connected set of crossings. P. Volino
 and N. Magnenat-Thalmann, "Resolving surface collisions through intersection contour minimization"
-(SIGGRAPH 2006, doi:10.1145/1141911.1142007), say how a crossing is to move so that its contour
-becomes shorter.
+(SIGGRAPH 2006, doi:10.1145/1141911.1142007), give the move of a crossing that shortens its contour.
 """
 
 from dataclasses import dataclass
@@ -18,25 +17,25 @@ from clothtrack.geometry.crossing_search import CrossingSearch
 from clothtrack.geometry.mesh import ClothMesh, sides_of
 
 STEEPEST = 0.2
-"""Sine of the angle between edge and triangle below which it is taken for this: a contour that an
-edge nearly lies in runs away from any move."""
+"""Lower limit of the sine of the angle between edge and triangle. If an edge nearly lies in the
+triangle, the contour would move very far with any move of the edge."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contours:
-    """Where a mesh passes through itself.
+    """Self-intersections of a mesh.
 
     Attributes:
-        edges: number of the edge of each crossing.
-        faces: number of the triangle that it passes through.
-        along: where on the edge, 0 at its first vertex, 1 at its second.
+        edges: index of the edge of each crossing.
+        faces: index of the triangle that it passes through.
+        along: position on the edge, 0 at its first vertex, 1 at its second.
         within: barycentric coordinates in the triangle.
         normals: unit normal of the triangle.
-        shortening: move of the edge against the triangle that shortens the contour: 2 m of
+        shortening: move of the edge relative to the triangle that shortens the contour: 2 m of
             contour per meter along its length.
-        contour: number of the contour that the crossing is on.
-        sides: 1 where the edge belongs to the contour's first sheet, -1 where it belongs to the
-            second; 0 where the contour has no two sheets (it turns back at a vertex).
+        contour: index of the contour of the crossing.
+        sides: 1 if the edge belongs to the contour's first sheet, -1 if it belongs to the second;
+            0 if the contour does not have two sheets (it turns back at a vertex).
     """
 
     edges: Int[np.ndarray, " crossings"]
@@ -64,11 +63,11 @@ class Contours:
 
 
 class SelfIntersection:
-    """Finds the contours of one mesh wherever its vertices are.
+    """Search for the contours of one mesh at any vertex positions.
 
     Args:
-        mesh: the triangles; where its vertices are does not matter.
-        device: where crossings are searched, "cpu" or "cuda:0".
+        mesh: the triangles; its vertex positions do not matter.
+        device: device of the search, "cpu" or "cuda:0".
     """
 
     def __init__(self, mesh: ClothMesh, *, device: str = "cpu") -> None:
@@ -93,7 +92,7 @@ class SelfIntersection:
         normals = _normals(corners)
         above = np.einsum("ci,ci->c", a - corners[:, 0], normals)
         below = np.einsum("ci,ci->c", b - corners[:, 0], normals)
-        # An edge that lies in the triangle's plane, but for rounding, passes through in its middle.
+        # An edge that lies in the triangle's plane up to rounding counts as crossing in its middle.
         rise = above - below
         along = np.where(rise == 0.0, 0.5, above / np.where(rise == 0.0, 1.0, rise))
         contour, sides = self._joined(edge, face)
@@ -141,8 +140,8 @@ class SelfIntersection:
         """Return contour and side of each crossing.
 
         Two triangles that cut each other join the crossings at the ends of their line. Each
-        crossing stands in the graph twice, as if its edge were of the first sheet and as if it
-        were of the second: a contour of two sheets falls into two mirror images.
+        crossing is in the graph twice, once with its edge on the first sheet and once on the
+        second, so that a contour with two sheets splits into two mirror images.
         """
         count = len(edge)
         number = np.tile(np.arange(count), 2)
@@ -152,7 +151,7 @@ class SelfIntersection:
         number, beside, other = number[known], beside[known], other[known]
         first = beside < other
         key = np.minimum(beside, other) * np.int64(len(self.mesh.faces)) + np.maximum(beside, other)
-        # A node for each pair of triangles, twice as well: its lower one in either sheet.
+        # Each pair of triangles also has two nodes, with its lower triangle on either sheet.
         _, pair = np.unique(key, return_inverse=True)
         pairs = int(pair.max(initial=-1)) + 1
         here = np.concatenate([number, number + count])
@@ -168,7 +167,7 @@ class SelfIntersection:
 
 
 def _faces_of_edges(mesh: ClothMesh) -> Int[np.ndarray, "edges 2"]:
-    """Return the triangles beside each edge; -1 beyond a rim."""
+    """Return the two triangles at each edge; -1 outside an open edge."""
     _, edge = np.unique(sides_of(mesh.faces), axis=0, return_inverse=True)
     order = np.argsort(edge, kind="stable")
     edge, face = edge[order], order // 3
@@ -189,7 +188,7 @@ def _unit(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors
 def _barycentric(
     points: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 3"]
 ) -> Float[np.ndarray, "points 3"]:
-    """Return coordinates of points in triangles that they lie in."""
+    """Return the barycentric coordinates of points in their triangles."""
     apart = corners - points[:, None]
     areas = np.linalg.norm(np.cross(apart[:, [1, 2, 0]], apart[:, [2, 0, 1]], axis=2), axis=2)
     return areas / np.maximum(areas.sum(axis=1, keepdims=True), 1e-18)

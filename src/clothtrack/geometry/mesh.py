@@ -1,7 +1,7 @@
-"""The triangle mesh of a cloth: where its vertices are and how they are connected.
+"""The triangle mesh of a cloth: vertex positions and topology.
 
-Public arrays are in meters. Vertices keep their index for life: vertex 17 is the same material
-point in every frame, in the files and in the report.
+Public arrays are in meters. Vertices keep their index: vertex 17 is the same material point in
+every frame, in the files and in the report.
 """
 
 from dataclasses import dataclass, replace
@@ -13,18 +13,18 @@ from jaxtyping import Float, Int
 from clothtrack.errors import InvalidMeshError
 
 FARTHEST_M = 1e5
-"""No vertex of a cloth, in meters or mistaken for meters, is farther from the origin [m]."""
+"""Largest allowed distance of a vertex from the origin [m], even if the units are wrong."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClothMesh:
-    """A manifold triangle mesh, possibly open (hem, neck) and in one or several pieces.
+    """Manifold triangle mesh, possibly open (hem, neck) and in one or several pieces.
 
     Attributes:
         vertices: positions [m], world frame or the garment's own.
         faces: vertex indices, one row per triangle.
-        canonical: canonical coordinates [m] of each vertex: the same material point has the same
-            canonical coordinates in every mesh of the garment, whatever its triangulation.
+        canonical: canonical coordinates [m] of each vertex. The same material point has the same
+            canonical coordinates in every mesh of the garment, for any triangulation.
     """
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -32,7 +32,7 @@ class ClothMesh:
     canonical: Float[np.ndarray, "vertices 3"] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be a cloth.
+        """Reject arrays that cannot be a cloth.
 
         Raises:
             InvalidMeshError: with the first offending vertex, face or edge.
@@ -41,7 +41,7 @@ class ClothMesh:
         _check_surface(self)
 
     def __repr__(self) -> str:
-        """One line, without the positions."""
+        """Return one line, without the positions."""
         return f"{type(self).__name__}({self.vertex_count} vertices, {len(self.faces)} faces)"
 
     @property
@@ -71,7 +71,7 @@ class ClothMesh:
 
     @cached_property
     def opposite_pairs(self) -> Int[np.ndarray, "interior_edges 2"]:
-        """The two vertices that face each other across each interior edge (bending pairs)."""
+        """The two vertices opposite each other across each interior edge (bending pairs)."""
         keys, opposite = sides_of(self.faces), self.faces[:, [2, 0, 1]].reshape(-1)
         order = np.lexsort((keys[:, 1], keys[:, 0]))
         keys, opposite = keys[order], opposite[order]
@@ -83,7 +83,7 @@ class ClothMesh:
         return replace(self, vertices=np.asarray(vertices))
 
     def scaled(self, factor: float) -> "ClothMesh":
-        """Return the same cloth, larger by a factor, canonical coordinates too."""
+        """Return the cloth scaled by a factor, including its canonical coordinates."""
         canonical = None if self.canonical is None else np.asarray(self.canonical) * factor
         return replace(self, vertices=np.asarray(self.vertices) * factor, canonical=canonical)
 
@@ -94,7 +94,7 @@ def sides_of(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "sides 2"]:
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Check shapes, types, and that numbers can be meters and indices."""
+    """Check shapes, types, and the ranges of meters and indices."""
     for name, array, kinds in (("vertices", vertices, "fiu"), ("faces", faces, "iu")):
         if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
             raise InvalidMeshError(
@@ -122,7 +122,7 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _check_surface(mesh: ClothMesh) -> None:
-    """Check that the triangles are a manifold surface without anything loose."""
+    """Check that the triangles are a manifold surface without loose vertices."""
     vertices, faces = mesh.vertices, mesh.faces
     twice = np.flatnonzero(
         (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
@@ -157,7 +157,7 @@ def _check_surface(mesh: ClothMesh) -> None:
         raise InvalidMeshError(
             f"{len(mesh.canonical)} canonical coordinates for {len(vertices)} vertices"
         )
-    # The limit itself is too much for half precision.
+    # Convert first, because the limit is too large for half precision.
     distances = np.abs(mesh.canonical.astype(float))
     if (distances > FARTHEST_M).any():
         raise InvalidMeshError(

@@ -1,4 +1,4 @@
-"""How far points are from a triangle mesh."""
+"""Distance of points from a triangle mesh."""
 
 import numpy as np
 import warp as wp
@@ -15,9 +15,9 @@ def distance_to_mesh(
 ) -> Float[np.ndarray, " points"]:
     """Return the distance [m] of each point from a mesh.
 
-    A tree finds the nearest face in single precision, some twenty times as fast as
-    `closest_on_mesh`; the distance from that face is exact. Another face may be nearer by rounding,
-    about 1e-7 of the size of mesh and cloud.
+    A tree finds the nearest face in single precision, about twenty times as fast as
+    `closest_on_mesh`; the distance from that face is exact. Due to rounding another face may be
+    nearer by about 1e-7 of the size of mesh and cloud.
     """
     middle = vertices.mean(axis=0)
     mesh = wp.Mesh(

@@ -1,4 +1,4 @@
-"""How plausible a mesh is as a cloth, without knowing the truth: strain, crossings, crowding."""
+"""Plausibility of a cloth mesh without ground truth: strain, crossings, crowding."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,14 +10,14 @@ from clothtrack.geometry.mesh import ClothMesh, sides_of
 
 
 def edge_strain(mesh_rest: ClothMesh, vertices: Float[np.ndarray, "vertices 3"]) -> float:
-    """Return mean absolute relative change of edge length against the rest mesh (no unit)."""
+    """Return the mean absolute relative change of edge length from the rest mesh (no unit)."""
     ends = np.asarray(vertices, np.float64)[mesh_rest.edges]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     return float(np.mean(np.abs(lengths / mesh_rest.edge_lengths - 1.0)))
 
 
 def crossings(vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> int:
-    """Return how many edges pass through a triangle with which they share no vertex."""
+    """Return the number of edges that pass through a triangle with which they share no vertex."""
     return len(crossing_edges(vertices, faces)[0])
 
 
@@ -28,7 +28,7 @@ def crossing_edges(
 
     Args:
         vertices: positions [m].
-        faces: vertex indices per triangle; those with a vertex that is not finite are left out.
+        faces: vertex indices per triangle; triangles with a vertex that is not finite are skipped.
 
     Returns:
         The vertices of those edges, and of the triangles that they pass through.
@@ -41,12 +41,12 @@ def crossing_edges(
 
 
 class CrossingCheck:
-    """`crossing_edges` of one mesh, again and again; `faces` has at least one triangle."""
+    """Reusable `crossing_edges` of one mesh; `faces` has at least one triangle."""
 
     def __init__(self, faces: Int[np.ndarray, "faces 3"]) -> None:
         self._faces = np.ascontiguousarray(faces, np.int32)
         sides = sides_of(self._faces)
-        # One number per side: an order of magnitude faster than unique rows.
+        # Encode each side as one number: an order of magnitude faster than unique rows.
         count = int(self._faces.max()) + 1
         numbers = np.unique(sides[:, 0] * np.int64(count) + sides[:, 1])
         self._edges = np.stack(np.divmod(numbers, count), axis=1).astype(np.int32)
@@ -67,9 +67,9 @@ def close_pairs(
     faces: Int[np.ndarray, "faces 3"],
     distance_m: float = 0.005,
 ) -> int:
-    """Return number of vertex pairs nearer than a distance that are not neighbors in the mesh.
+    """Return the number of vertex pairs within a distance that are not neighbors in the mesh.
 
-    Vertices joined by an edge or by two do not count: in a fine mesh they are always near.
+    Vertices joined by one or two edges do not count, because in a fine mesh they are always near.
 
     Args:
         vertices: positions [m].
@@ -90,11 +90,11 @@ def close_pairs(
 def below(
     heights: Float[np.ndarray, " vertices"], resting_height_m: float, tolerance_m: float = 0.003
 ) -> float:
-    """Return the share of vertices more than a tolerance under the resting height.
+    """Return the share of vertices more than a tolerance below the resting height.
 
     Args:
         heights: heights of the vertices above the table [m].
         resting_height_m: height of a vertex that lies on the table [m].
-        tolerance_m: how much lower does not count yet [m].
+        tolerance_m: depth below the resting height that does not count [m].
     """
     return float(np.mean(heights < resting_height_m - tolerance_m))

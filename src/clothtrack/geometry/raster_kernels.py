@@ -1,14 +1,15 @@
 """Warp kernels of the z-buffer: triangles to pixels, pixels to visible vertices.
 
-Triangles are rasterized in homogeneous form: for a triangle with corners a, b, c in the camera's
+Triangles are rasterized in homogeneous form. For a triangle with corners a, b, c in the camera's
 frame and the viewing ray d of a pixel, the three triple products (a x b).d, (b x c).d, (c x a).d
-have one sign exactly where the ray's line meets the triangle, and the inverse depth there is
-n.d / n.a with n the triangle's normal. All four are linear in the pixel, so the inner loop only
-adds, and a triangle that reaches behind the camera needs no clipping (M. Olano and T. Greer,
-"Triangle scan conversion using 2D homogeneous coordinates", 1997, doi:10.1145/258694.258723).
+have the same sign exactly if the ray's line meets the triangle. The inverse depth there is
+n.d / n.a with n the triangle's normal. All four are linear in the pixel coordinates, so the inner
+loop only adds, and a triangle that reaches behind the camera needs no clipping (M. Olano and
+T. Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997,
+doi:10.1145/258694.258723).
 
-A pixel is one 64-bit number, the depth's bits above the face's index: the smallest one wins,
-whatever the order of the threads, so that CPU and GPU agree and repeat.
+A pixel is one 64-bit number with the depth's bits above the face's index. The smallest one wins,
+for any order of the threads, so that CPU and GPU agree and results are reproducible.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
@@ -18,10 +19,10 @@ from typing import no_type_check
 import warp as wp
 
 EMPTY_PIXEL = 0xFFFFFFFFFFFFFFFF
-"""What a pixel holds that no face covers."""
+"""Value of a pixel that no face covers."""
 
 STRIP_PIXELS = 64
-"""Pixels that one thread of `mark_hit_vertices` looks at."""
+"""Pixels per thread of `mark_hit_vertices`."""
 
 _EMPTY = wp.constant(wp.uint64(EMPTY_PIXEL))
 _STRIP = wp.constant(STRIP_PIXELS)
@@ -30,7 +31,7 @@ _STRIP = wp.constant(STRIP_PIXELS)
 @no_type_check
 @wp.struct
 class RasterCamera:
-    """A pinhole camera for kernels: image size [pixels], intrinsics [pixels], pose, near [m]."""
+    """Pinhole camera for kernels: image size [pixels], intrinsics [pixels], pose, near [m]."""
 
     width: wp.int32
     height: wp.int32
@@ -63,7 +64,7 @@ def draw_faces(
     camera: RasterCamera,
     pixels: wp.array(dtype=wp.uint64),
 ):
-    """Write each face's depth and index to the pixels whose center it covers, nearest wins."""
+    """Write each face's depth and index to the pixels whose center it covers; the nearest wins."""
     face = wp.tid()
     corners = faces[face]
     a = _to_camera(camera, vertices[corners[0]])
@@ -87,7 +88,7 @@ def draw_faces(
         right = wp.min(right, wp.floor(wp.max(ax, wp.max(bx, cx)) + 1.0e-3))
         top = wp.max(top, wp.ceil(wp.min(ay, wp.min(by, cy)) - 1.0e-3))
         bottom = wp.min(bottom, wp.floor(wp.max(ay, wp.max(by, cy)) + 1.0e-3))
-    # Not "left > right": a face that is not a number must not be drawn either.
+    # Use this test instead of "left > right", so that a face with NaN is not drawn.
     if not (left <= right and top <= bottom):
         return
 
@@ -101,8 +102,8 @@ def draw_faces(
     ab = turn * wp.cross(a, b)
     bc = turn * wp.cross(b, c)
     ca = turn * wp.cross(c, a)
-    # The ray of the first pixel. Corners moved along it leave the triple products unchanged but
-    # make the numbers small, which keeps the digits that decide on which side a pixel lies.
+    # The ray of the first pixel. Moving the corners along it does not change the triple products
+    # but makes the numbers small, which keeps the digits that decide on which side a pixel lies.
     ray = wp.vec3((left - camera.cx) / camera.fx, (top - camera.cy) / camera.fy, 1.0)
     near_a = a - a[2] * ray
     near_b = b - a[2] * ray
@@ -119,7 +120,7 @@ def draw_faces(
     e1y = bc[1] / camera.fy
     e2y = ca[1] / camera.fy
     inverse_y = normal[1] / camera.fy / plane
-    # A pixel center on an edge belongs to both faces: a thousandth of a pixel closes the seams.
+    # A pixel center on an edge belongs to both faces; a thousandth of a pixel closes the seams.
     s0 = 1.0e-3 * (wp.abs(e0x) + wp.abs(e0y))
     s1 = 1.0e-3 * (wp.abs(e1x) + wp.abs(e1y))
     s2 = 1.0e-3 * (wp.abs(e2x) + wp.abs(e2y))
@@ -168,7 +169,7 @@ def mark_hit_vertices(
     faces: wp.array(dtype=wp.vec3i),
     hit: wp.array(dtype=wp.bool),
 ):
-    """Mark the corners of every face that some pixel shows; one thread per strip of pixels."""
+    """Mark the corners of every face that a pixel shows, with one thread per strip of pixels."""
     start = wp.tid() * _STRIP
     last_face = int(-1)
     for pixel in range(start, wp.min(start + _STRIP, pixels.shape[0])):

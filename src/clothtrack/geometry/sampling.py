@@ -15,7 +15,7 @@ def sample_surface(
     a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     chosen = rng.choice(len(faces), size=count, p=areas / areas.sum())
-    # The square root makes the density uniform where the triangle gets narrow (R. Osada et al.,
+    # The square root makes the density uniform in the triangle (R. Osada et al.,
     # "Shape distributions", 2002, doi:10.1145/571647.571648).
     across = np.sqrt(rng.random((count, 1)))
     along = rng.random((count, 1))

@@ -1,8 +1,9 @@
-"""The table's plane from depth, and the world that it gives: z up, the table at z = 0.
+"""Fit the table's plane to depth, and define the world by it: z up, the table at z = 0.
 
-A plane seen by a pinhole camera is a plane in inverse depth too: 1/z = a x + b y + c with
-x = (column - cx)/fx and y = (row - cy)/fy. The noise of a stereo camera is even there (it grows
-with the square of the depth), so plain least squares weighs near and far pixels rightly.
+A plane seen by a pinhole camera is also a plane in inverse depth: 1/z = a x + b y + c with
+x = (column - cx)/fx and y = (row - cy)/fy. The noise of a stereo camera is uniform there (in depth
+it grows with the square of the depth), so plain least squares weights near and far pixels
+correctly.
 """
 
 from dataclasses import dataclass
@@ -15,38 +16,38 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 
 LEAST_POINTS = 200
-"""Fewer measurements than this show no plane."""
+"""Minimum number of measurements for a plane."""
 
 _ROUNDS = 8
 _MARGIN = np.ones((13, 13), np.uint8)
 PIXELS = 40_000
-"""About how many measurements are taken from them together; they bound the time."""
+"""Approximate number of measurements from all pictures together; it bounds the time."""
 TRIALS = 400
 """Planes through three random measurements; at `LEAST_SHARE` they miss the table once in 50,000."""
 _TOLERANCE = 0.008
 """Deviation in inverse depth [1/m] within which a measurement may be table; 4.5 mm at 0.75 m."""
 LEAST_SHARE = 0.3
-"""Less of the measurements than this on one plane is no table."""
+"""Minimum share of the measurements on the table's plane."""
 _RIVAL_SHARE = 0.7
-"""Another plane with so large a share of the first one's measurements may be the table, too."""
+"""Another plane with this share of the first one's measurements may also be the table."""
 _LOWER_M = 0.05
-"""A plane under the first one by at most this [m] is the table, and the first one lies on it."""
+"""A plane at most this far [m] below the first one is the table, and the first one lies on it."""
 _LOWER_SHARE = 0.12
-"""Share of the measurements that such a plane needs: the rim around a cloth that fills it."""
+"""Minimum share of measurements on such a plane: the rim around a cloth that covers the table."""
 _SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
 class TableFit:
-    """The table as a camera sees it.
+    """Plane of the table in the frame of a camera.
 
     Attributes:
-        normal: unit normal in the camera's frame, towards the camera.
-        distance_m: from the camera to the plane [m].
+        normal: unit normal in the camera's frame, toward the camera.
+        distance_m: distance from the camera to the plane [m].
         residual_m: root mean square distance of the inliers from the plane [m].
-        inlier_share: share of the measurements, cloth left out, that lie on the plane.
+        inlier_share: share of the measurements without cloth that lie on the plane.
         cloth_excluded: whether the cloth was known and left out.
-        frames: how many frames were looked at.
+        frames: number of frames used.
     """
 
     normal: Float[np.ndarray, " 3"]
@@ -75,10 +76,10 @@ def sight_lines(
     """Return directions (x, y, 1) of measured pixels [camera frame] and inverse depths [1/m].
 
     Args:
-        depth_m: depth [m], 0 where nothing was measured.
+        depth_m: depth [m], 0 without a measurement.
         camera: the camera.
-        stride: every so many measured pixels are taken.
-        offset: the first one taken, so that several pictures give different pixels.
+        stride: one of this many measured pixels is used.
+        offset: the first pixel used, so that several pictures give different pixels.
     """
     places = np.flatnonzero(depth_m > 0)[offset % stride :: stride]
     rows, columns = np.divmod(places, depth_m.shape[1])
@@ -93,7 +94,7 @@ def fit_plane(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
 ) -> TableFit:
-    """Fit the dominant plane: random trials, then least squares over its inliers.
+    """Fit the dominant plane by random trials, then least squares over its inliers.
 
     Args:
         sight: directions (x, y, 1) in the camera's frame.
@@ -124,13 +125,13 @@ def fit_plane(
 
 
 def world_from_table(camera: Camera, table: TableFit) -> Float[np.ndarray, "4 4"]:
-    """Return world from camera when the world stands on the table.
+    """Return the transform from the camera to a world on the table.
 
-    z is the table's normal, x the camera's x axis laid onto the table, and the origin is the point
-    of the table in the middle of the picture.
+    z is the table's normal, x is the camera's x axis projected onto the table, and the origin is
+    the point of the table in the middle of the picture.
 
     Raises:
-        InvalidRecordingError: the middle of the picture does not look at the table.
+        InvalidRecordingError: the middle of the picture does not show the table.
     """
     middle = np.array(
         [
@@ -160,7 +161,7 @@ def _dominant(
     inverse: Float[np.ndarray, " points"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
-    """Return the plane (a, b, c) with most inliers, of those through three random points."""
+    """Return the plane (a, b, c) through three random points that has the most inliers."""
     if len(sight) < LEAST_POINTS:
         raise InvalidRecordingError(
             f"only {len(sight)} measurements are left to find a plane in (at least "
@@ -184,9 +185,10 @@ def _refined(
     inverse: Float[np.ndarray, " points"],
     plane: Float[np.ndarray, " 3"],
 ) -> tuple[Float[np.ndarray, " 3"], Bool[np.ndarray, " points"]]:
-    """Fit by least squares to inliers, whose band narrows to three times their own spread.
+    """Fit by least squares to inliers; narrow their band to three times their own spread.
 
-    It stays wider than the steps of the depth: most of the pixels may lie on one of them.
+    The band stays wider than the quantization steps of the depth, because most of the pixels may
+    lie on one step.
     """
     band = _TOLERANCE
     used = np.abs(inverse - sight @ plane) < band
@@ -198,7 +200,7 @@ def _refined(
         spread = 1.4826 * float(np.median(off[off < _TOLERANCE]))
         band = min(_TOLERANCE, max(3.0 * spread, narrowest))
         before, used = used, off < band
-        # The same measurements give the same plane.
+        # Stop if the inliers are unchanged, because they give the same plane.
         if used.sum() < 3 or (used == before).all():
             break
     return plane, used
@@ -210,7 +212,7 @@ def _lower(
     plane: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
-    """Return the plane right under this one, if any: cloth that fills the picture lies on it."""
+    """Return the plane just below this one, if any: then this one is cloth that lies on it."""
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     off = inverse - sight @ plane
@@ -229,7 +231,7 @@ def _require_single(
     plane: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> None:
-    """Raise when another plane is nearly as large as this one and does not lie on it."""
+    """Raise an error if another plane is nearly as large as this one and does not lie on it."""
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     beside = (height < -_LOWER_M) | (height > _LOWER_M)

@@ -1,4 +1,4 @@
-"""What a camera sees of a mesh: depth image, face per pixel, visible vertices (a z-buffer)."""
+"""Rendering of a mesh in a camera: depth image, face per pixel, visible vertices (z-buffer)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ _NEAREST_DEPTH_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DepthBuffer:
-    """What a camera sees of a mesh.
+    """Rendering of a mesh in a camera.
 
     Attributes:
-        depth: distance along the optical axis at each pixel center [m]; infinite where no face is.
-        faces: index of the nearest face at each pixel center; -1 where no face is.
+        depth: distance along the optical axis at each pixel center [m]; infinite without a face.
+        faces: index of the nearest face at each pixel center; -1 without a face.
     """
 
     depth: Float[np.ndarray, "height width"]
@@ -29,7 +29,7 @@ class DepthBuffer:
 
 
 class Rasterizer:
-    """Draws one mesh topology in one camera, again and again, into buffers that it keeps.
+    """Renderer of one mesh topology in one camera, with buffers that it reuses.
 
     Args:
         faces: vertex indices per triangle; drawn from both sides.
@@ -37,7 +37,7 @@ class Rasterizer:
         device: Warp device, "cpu" or "cuda:0".
 
     Raises:
-        InvalidConfigError: when there is no face to draw.
+        InvalidConfigError: there is no face to draw.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Rasterizer:
     def window(self, vertices: Float[np.ndarray, "vertices 3"]) -> tuple[slice, slice]:
         """Return rows and columns outside which no pixel shows the mesh at these vertices [m]."""
         pixels, depth = self.camera.project(vertices)
-        # What reaches behind the camera may show anywhere.
+        # A mesh that reaches behind the camera may appear anywhere in the image.
         if not ((depth >= 2.0 * _NEAREST_DEPTH_M).all() and np.isfinite(pixels).all()):
             return slice(0, self.camera.height), slice(0, self.camera.width)
-        # A pixel beyond them, for rounding to single precision.
+        # Add a pixel on each side, for rounding to single precision.
         size = (self.camera.width, self.camera.height)
         left, top = np.clip(np.floor(pixels.min(axis=0)) - 1, 0, size).astype(int).tolist()
         right, bottom = np.clip(np.ceil(pixels.max(axis=0)) + 2, 0, size).astype(int).tolist()
@@ -81,14 +81,14 @@ class Rasterizer:
     def faces_within(
         self, vertices: Float[np.ndarray, "vertices 3"], window: tuple[slice, slice]
     ) -> Int[np.ndarray, "height width"]:
-        """Return the index of the nearest face at each pixel of a window, -1 where none is."""
+        """Return the index of the nearest face at each pixel of a window, or -1."""
         self.draw(_on_device(vertices, self.device))
-        # The lower half of a pixel is its face; that of an empty one is -1.
+        # The lower half of a pixel is its face; it is -1 in an empty pixel.
         halves = self.pixels.numpy().view("<i4")
         return halves.reshape(self.camera.height, self.camera.width, 2)[*window, 0]
 
     def draw(self, vertices: wp.array) -> None:
-        """Fill `pixels` for world vertices [m] (a vec3 array on this device); no copy, no wait."""
+        """Fill `pixels` for world vertices [m], a vec3 array on this device; no copy or wait."""
         self.pixels.fill_(kernels.EMPTY_PIXEL)
         wp.launch(
             kernels.draw_faces,
@@ -100,21 +100,21 @@ class Rasterizer:
 
 
 class VisibilityCheck:
-    """Which vertices some camera sees, for one topology, as often as wanted.
+    """Reusable check of which vertices some camera sees, for one topology.
 
-    A vertex is visible when a face around it covers a pixel of some camera, it projects into that
+    A vertex is visible if a face around it covers a pixel of some camera, it projects into that
     image, and it lies no deeper than the surface there plus a tolerance. The tolerance must be
     smaller than the distance of two layers of cloth that lie on each other.
 
     Args:
         faces: vertex indices per triangle.
-        cameras: one or more cameras. A small image (`Camera.resized`) is fast and usually enough:
+        cameras: one or more cameras. A small image (`Camera.resized`) is fast and usually enough;
             its pixels should not be larger than the mesh's edges.
         tolerance_m: how much deeper than the surface a visible vertex may lie [m].
         device: Warp device, "cpu" or "cuda:0".
 
     Raises:
-        InvalidConfigError: when there is no face, no camera or a negative tolerance.
+        InvalidConfigError: there is no face, no camera or a negative tolerance.
     """
 
     def __init__(
@@ -138,11 +138,11 @@ class VisibilityCheck:
     def __call__(
         self, vertices: Float[np.ndarray, "vertices 3"] | wp.array
     ) -> Bool[np.ndarray, " vertices"]:
-        """Return visible vertices, for vertices in the world [m]."""
+        """Return which vertices are visible, for vertices in the world [m]."""
         return self.on_device(_on_device(vertices, self.device)).numpy().astype(bool)
 
     def on_device(self, vertices: wp.array) -> wp.array:
-        """Return the same on the device: a bool array that the next call overwrites."""
+        """Return the same as a bool array on the device, which the next call overwrites."""
         count = len(vertices)
         if len(self._visible) != count:
             self._hit = wp.empty(count, dtype=wp.bool, device=self.device)

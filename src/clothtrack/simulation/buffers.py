@@ -11,25 +11,25 @@ from clothtrack.simulation.kernels import Clock
 
 @dataclass(frozen=True, eq=False)
 class ClothBuffers:
-    """Warp arrays of (environments, vertices) unless said otherwise.
+    """Warp arrays of shape (environments, vertices) unless stated otherwise.
 
     Attributes:
-        positions: the state.
-        velocities: the state; within a substep those of the free flight.
+        positions: positions of the state.
+        velocities: velocities of the state; within a substep those of the free flight.
         start: positions at the beginning of the substep, after a soft pull.
-        predicted: where free flight would have led in the elastic substep.
-        moves: what contact wants to add to the positions.
-        stops: the part of it that ends an approach and changes the velocity.
-        inverse_masses: 0 for held vertices [1/kg].
+        predicted: positions after free flight in the elastic substep.
+        moves: position changes from contact.
+        stops: the part of `moves` that ends an approach and changes the velocity.
+        inverse_masses: inverse masses [1/kg]; 0 for held vertices.
         pull: rate at which a soft vertex approaches its goal [1/s]; 0 is free, -1 held.
-        goals: where attached vertices go.
-        airborne: substeps since the last touch.
+        goals: targets of attached vertices.
+        airborne: substeps since the last contact.
         rest: positions of the rest shape (vertices).
         masses: mass of each vertex [kg] (vertices).
         faces: corners of each triangle (faces).
         clocks: one Clock.
-        substeps_left: how many substeps the step still has, one number.
-        highest_speed: per environment, since the step began.
+        substeps_left: remaining substeps of the step, one number.
+        highest_speed: highest speed since the step began (environments).
     """
 
     positions: wp.array
@@ -60,7 +60,7 @@ class ClothBuffers:
 
 
 def allocate(mesh: ClothMesh, area_density: float, environments: int, device: str) -> ClothBuffers:
-    """Reserve the memory of a cloth that rests at the mesh's vertices."""
+    """Allocate the memory of a cloth that rests at the mesh's vertices."""
     shape = (environments, mesh.vertex_count)
     masses = (mesh.vertex_areas * area_density).astype(np.float32)
     rest = np.asarray(mesh.vertices, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The distances that hold a cloth together, ordered so that they can be solved in parallel."""
+"""Distance constraints of a cloth, ordered so that they can be solved in parallel."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class DistanceConstraints:
     Attributes:
         pairs: the two vertices of each constraint.
         lengths: rest distances [m].
-        first: where each color begins, and the end; no two pairs of one color share a vertex.
+        first: start of each color, and the end; no two pairs of one color share a vertex.
     """
 
     pairs: Int32[np.ndarray, "pairs 2"]
@@ -39,7 +39,7 @@ class DeviceConstraints:
         constraints: the pairs.
         device: Warp device.
         limit: as in `kernels.solve_distances`.
-        buckling: likewise.
+        buckling: as in `kernels.solve_distances`.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class DeviceConstraints:
 
 
 def stretch_constraints(mesh: ClothMesh) -> DistanceConstraints:
-    """Return the edges of the mesh at the length they have in it."""
+    """Return the edges of the mesh with their lengths in the mesh."""
     return _colored(mesh, mesh.edges)
 
 
 def bend_constraints(mesh: ClothMesh) -> DistanceConstraints:
-    """The pairs of vertices that face each other across an edge, at their distance in the mesh."""
+    """Return the vertex pairs opposite each other across an edge, with their mesh distances."""
     pairs = np.sort(mesh.opposite_pairs, axis=1)
     pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
     return _colored(mesh, pairs.reshape(-1, 2))

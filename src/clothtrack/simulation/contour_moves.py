@@ -1,14 +1,14 @@
-"""Which way each vertex goes so that a cloth comes out of itself: one round of untangling.
+"""Compute the vertex moves of one round of untangling.
 
-Every crossing wants two things: that its contour becomes shorter where it is (P. Volino,
-N. Magnenat-Thalmann, SIGGRAPH 2006, doi:10.1145/1141911.1142007; `Contours.shortening`), and that
-the sheets move apart as wholes, alike along the whole contour. The second way is the sum of the
-first over the contour, or, where the contour cuts a small piece off one sheet, straight back out of
-the other (D. Baraff, A. Witkin, M. Kass, "Untangling cloth", SIGGRAPH 2003,
-doi:10.1145/882262.882357, color such pieces in closed contours). An open contour, which ends at a
-rim, cuts a piece off as well when it is thought to go on from there (M. Wicke, H. Lanker, M. Gross,
-"Untangling cloth with boundaries", VMV 2006): vertices belong to the side of it that they are
-nearer to, in edges.
+Every crossing contributes two directions. The local one shortens its contour at the crossing
+(P. Volino, N. Magnenat-Thalmann, SIGGRAPH 2006, doi:10.1145/1141911.1142007;
+`Contours.shortening`). The global one moves the sheets apart uniformly along the whole contour. It
+is the sum of the local directions over the contour or, if the contour cuts a small piece off one
+sheet, the direction straight back out of the other sheet (D. Baraff, A. Witkin, M. Kass,
+"Untangling cloth", SIGGRAPH 2003, doi:10.1145/882262.882357, color such pieces in closed contours).
+An open contour, which ends at a rim, also cuts off a piece if it is extended from there (M. Wicke,
+H. Lanker, M. Gross, "Untangling cloth with boundaries", VMV 2006). Vertices belong to the side of
+the contour that is nearer, in edges.
 """
 
 from dataclasses import dataclass
@@ -21,22 +21,23 @@ from clothtrack.geometry.intersections import Contours, SelfIntersection
 from clothtrack.simulation import untangling_kernels as kernels
 
 WHOLE = 2.0
-"""Weight of what a contour wants as a whole, against 1 for what each of its crossings wants."""
+"""Weight of the global direction of a contour, relative to 1 for the local one of a crossing."""
 
 LARGEST = 0.25
-"""Largest piece that is taken back, as a share of the cloth, over the number of contours: among
-many it is not known what is inside what."""
+"""Largest piece that is moved back, as a share of the cloth divided by the number of contours.
+With many contours it is not known which piece is inside which."""
 
 _COHERENT = 0.8
-"""A piece is taken back when it goes out of the other sheet the same way everywhere: the length of
-the mean normal along its contour. A sleeve goes back through the hole; the hole does not open."""
+"""Minimum length of the mean normal along its contour for a piece to be moved back. The piece must
+leave the other sheet in the same direction everywhere: a sleeve goes back through the hole; the
+hole does not open."""
 
 _LOCAL_BESIDE_PIECE = 0.3
-"""Weight of what a crossing wants where a piece is taken back."""
+"""Weight of the local direction of a crossing whose piece is moved back."""
 
 _SHARE = 0.1
-"""What an end of an edge, or a corner of a triangle, moves at least, beside its share by the place
-of the crossing."""
+"""Weight that is added to every edge end and triangle corner, on top of its interpolation weight at
+the crossing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,9 @@ class _Sheets:
         contour: its contour.
         side: 1 or -1, as in `Contours.sides`.
         piece: vertices that the contour cuts off, the smaller part of the sheet.
-        area: of the piece [m^2].
-        back: the piece's way out of the other sheet, unit.
-        coherence: length of the mean of the ways out along the contour.
+        area: area of the piece [m^2].
+        back: unit direction of the piece out of the other sheet.
+        coherence: length of the mean of these directions along the contour.
     """
 
     contour: Int[np.ndarray, " sheets"]
@@ -61,10 +62,10 @@ class _Sheets:
 
 
 class ContourMoves:
-    """Moves the vertices of one mesh out of the contours that were found.
+    """Vertex moves that remove the contours of one mesh.
 
     Args:
-        search: finds the contours; its mesh at rest tells the areas.
+        search: finds the contours; its mesh at rest defines the areas.
     """
 
     def __init__(self, search: SelfIntersection) -> None:
@@ -83,12 +84,12 @@ class ContourMoves:
     def __call__(
         self, found: Contours, positions: Float[np.ndarray, "vertices 3"], *, pieces: bool
     ) -> Float[np.ndarray, "vertices 3"]:
-        """Return the direction of each vertex, at most 1 long; 0 where no contour touches it.
+        """Return the direction of each vertex, at most 1 long; 0 if no contour touches it.
 
         Args:
             found: the contours at these positions.
-            positions: of the vertices [m].
-            pieces: whether small pieces are taken back.
+            positions: vertex positions [m].
+            pieces: whether small pieces are moved back.
         """
         search = self._search
         sides = found.sides[:, None]
@@ -115,7 +116,7 @@ class ContourMoves:
         return gathered.mean
 
     def _sheets(self, found: Contours, positions: Float[np.ndarray, "vertices 3"]) -> _Sheets:
-        """Return what each contour cuts off the two sheets that it joins."""
+        """Return the piece that each contour cuts off each of its two sheets."""
         sheet = 2 * found.contour + (found.sides < 0)
         two_sided = np.flatnonzero(found.sides)
         order = two_sided[np.argsort(sheet[two_sided], kind="stable")]
@@ -141,7 +142,7 @@ class ContourMoves:
         order: Int[np.ndarray, " two_sided"],
         first: Int[np.ndarray, " sheets"],
     ) -> Int8[np.ndarray, "sheets vertices"]:
-        """1 for vertices on the upper side of what their sheet passes through, 2 on the lower."""
+        """Return 1 for vertices above the triangles that their sheet crosses, 2 for those below."""
         device, search = self._search.device, self._search
         edges = found.edges[order]
         ends = search.edges[edges]
@@ -167,7 +168,7 @@ class ContourMoves:
         return labels.numpy()
 
     def _taken_back(self, sheets: _Sheets, found: Contours) -> Int[np.ndarray, " taken"]:
-        """Of the two sheets of a contour that whose piece is smaller, where it may be."""
+        """Return the sheets whose piece is moved back: the smaller allowed one of each contour."""
         ends, corners = self._search.edges[found.edges], self._search.mesh.faces[found.faces]
         inside = sheets.piece[:, ends].all(axis=2) | sheets.piece[:, corners].all(axis=2)
         tangled = (inside & (found.contour != sheets.contour[:, None])).any(axis=1)
@@ -183,7 +184,7 @@ class ContourMoves:
 
 
 class _Gathered:
-    """The weighted mean of what is wanted of each vertex."""
+    """Weighted mean of the moves of each vertex."""
 
     def __init__(self, vertex_count: int) -> None:
         self._sums = np.zeros((vertex_count, 3))
@@ -195,16 +196,16 @@ class _Gathered:
         weights: Float[np.ndarray, " moves"],
         moves: Float[np.ndarray, "moves 3"],
     ) -> None:
-        """Take moves of vertices in."""
+        """Add moves of vertices."""
         np.add.at(self._sums, vertices, weights[:, None] * moves)
         np.add.at(self._weights, vertices, weights)
 
     @property
     def mean(self) -> Float[np.ndarray, "vertices 3"]:
-        """Of each vertex; 0 where nothing is wanted."""
+        """Mean move of each vertex; 0 without moves."""
         return self._sums / np.where(self._weights > 0.0, self._weights, 1.0)[:, None]
 
 
 def _at_least_one(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors 1"]:
-    """Their lengths, where these are more than 1."""
+    """Return the lengths of the vectors, but at least 1."""
     return np.maximum(1.0, np.linalg.norm(vectors, axis=1, keepdims=True))

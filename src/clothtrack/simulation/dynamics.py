@@ -1,4 +1,4 @@
-"""dyn(x, a): what the cloth does while a picker moves, the dynamics of the tracker."""
+"""dyn(x, a): the motion of the cloth while a picker moves, used as the tracker's dynamics."""
 
 import math
 from dataclasses import dataclass
@@ -11,22 +11,22 @@ from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState, pull_rate, pull_strength
 
 _PICKER_STEP_M = 0.005
-"""No step moves a held vertex further than this [m]."""
+"""Longest motion of a held vertex in one step [m]."""
 
 LONGEST_STEP_S = 0.05
-"""No step lasts longer [s]."""
+"""Longest step [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class RollOut:
-    """What a roll-out ends with.
+    """Result of a roll-out.
 
     Attributes:
         state: the state to continue from.
-        positions: the vertices [m].
-        highest_speed: highest speed of a free vertex on the way, before the limit [m/s].
-        started_at: the vertices before it [m].
-        exact: whether it was rolled with the substeps of the solver, and not with longer ones.
+        positions: the final vertices [m].
+        highest_speed: highest speed of a free vertex during the roll-out, before the limit [m/s].
+        started_at: the initial vertices [m].
+        exact: whether it used the substeps of the solver instead of longer ones.
     """
 
     state: ClothState
@@ -43,11 +43,11 @@ class ClothDynamics:
     Attributes:
         solver: steps the cloth; its own state is overwritten by every roll-out.
         velocity_kept: after a pseudo-action every vertex gets this share of its mean velocity over
-            the roll-out, (x_new - x_old) / duration; the velocity of the last substep would hold
-            the energy of the pull. Less than 1 also keeps the noise of the observation from
+            the roll-out, (x_new - x_old) / duration, because the velocity of the last substep would
+            contain the energy of the pull. A value below 1 also keeps observation noise from
             becoming momentum.
-        prediction_coarseness: substeps of a prediction, which only an alignment starts from, are so
-            many times as long as those of the roll-out that stands.
+        prediction_coarseness: substeps of a prediction, which is only used for alignment, are this
+            many times as long as those of an accepted roll-out.
     """
 
     solver: ClothSolver
@@ -63,17 +63,17 @@ class ClothDynamics:
         *,
         coarseness: int = 1,
     ) -> RollOut:
-        """Move the cloth for a while.
+        """Simulate the cloth for a given duration.
 
         Args:
-            state: where to start; one environment is given to all. None goes on from where the last
-                roll-out ended.
+            state: the initial state; a state of one environment is copied to all. None continues
+                from the end of the last roll-out.
             motion: held vertices and their path; None holds none.
-            duration_s: how long [s].
-            pseudo: where the observation wants vertices at the end. Targets of held vertices
-                (strength 1) are approached in a straight line, softer ones pull from the start.
-                A picker's vertices obey the picker.
-            coarseness: substeps are so many times as long as configured.
+            duration_s: duration [s].
+            pseudo: targets of observed vertices at the end. Held vertices (strength 1) approach
+                their targets in a straight line; softer targets pull from the start. Vertices that
+                a picker holds follow the picker.
+            coarseness: substeps are this many times as long as configured.
 
         Returns:
             The end of the motion.
@@ -100,7 +100,7 @@ class ClothDynamics:
         return self.roll_out(state, action.motion, action.duration_s, pseudo_action)
 
     def predict(self, state: ClothState, action: PickerAction) -> RollOut:
-        """Return dyn(x, a) as coarse as configured: to align, not to continue from."""
+        """Return dyn(x, a) with the configured coarseness; use it only for alignment."""
         return self.roll_out(
             state, action.motion, action.duration_s, coarseness=self.prediction_coarseness
         )
@@ -113,7 +113,7 @@ class ClothDynamics:
     ) -> int:
         way = 0.0
         if motion is not None and len(motion.vertices):
-            # A held vertex may first have to come to where its way starts.
+            # A held vertex may first have to move to the start of its path.
             gap = np.linalg.norm(before[:, motion.vertices] - motion.at(0.0), axis=-1).max()
             way = motion.longest_path_m + float(gap)
         return max(
@@ -130,7 +130,7 @@ def _attachment(
     index: int,
     steps: int,
 ) -> Attachment | None:
-    """Return what pulls during step `index` of `steps`, counted from 1."""
+    """Return the attachment during step `index` of `steps`, counted from 1."""
     if motion is None and pseudo is None:
         return None
     held = motion.at(index / steps) if motion is not None else None
@@ -148,7 +148,7 @@ def _attachment(
             way = before + (targets - before) * (index / steps)
             targets = np.where(strength[..., None] >= 1.0, way, targets)
         soft = (strength > 0.0) & (strength < 1.0)
-        # The same spring in every step: its rate is that of the whole roll-out.
+        # Use the same spring in every step: its rate is that of the whole roll-out.
         strength[soft] = pull_strength(pull_rate(strength[soft], 1.0), 1.0 / steps)
     if motion is not None:
         targets[:, motion.vertices] = held

@@ -2,9 +2,10 @@
 
 Extended position-based dynamics with small steps: Macklin, Müller, Chentanez, "XPBD" (MIG 2016,
 doi:10.1145/2994258.2994272), and Macklin et al., "Small Steps in Physics Simulation" (SCA 2019,
-doi:10.1145/3309486.3340247). Arrays are (environments, vertices). A thread is one constraint of one
-environment, or every `stride`-th of its vertices: each has its own on a GPU; on a CPU one thread
-goes through them all, because there a thread costs more than what it does to a vertex.
+doi:10.1145/3309486.3340247). Arrays are (environments, vertices). A thread handles one constraint
+of one environment, or every `stride`-th of its vertices. On a GPU every vertex has its own thread.
+On a CPU one thread handles all vertices, because there a thread costs more than its work on one
+vertex.
 """
 
 from typing import no_type_check
@@ -14,14 +15,14 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 _AIRBORNE_LIMIT = wp.constant(5)
-"""Substeps after its last touch during which a vertex counts as supported and may sleep."""
+"""Substeps after its last contact during which a vertex counts as supported and may sleep."""
 
 
 TINY = wp.constant(1.0e-12)
-"""Keeps a quotient finite when two vertices meet or both are held."""
+"""Keeps a quotient finite if two vertices coincide or both are held."""
 
 HELD = wp.constant(-1.0)
-"""The pull of a vertex that goes where it is told, whatever it meets."""
+"""The pull of a held vertex, which moves to its target through any obstacle."""
 
 _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
 
@@ -29,18 +30,18 @@ _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
 @no_type_check
 @wp.func
 def nth(number: int):
-    """Return the index without its sign bit, so that Warp drops its check for negative ones."""
+    """Return the index without its sign bit, so that Warp skips its check for negative indices."""
     return number & _NOT_NEGATIVE
 
 
 @no_type_check
 @wp.struct
 class Clock:
-    """Lengths of time that differ from step to step; in memory, so that one graph serves all.
+    """Durations that differ between steps; stored in memory, so that one graph serves all steps.
 
-    `elastic_s` and `substep_s` [s]; `inverse_square`: 1 / elastic_s^2 [1/s^2]; `decay`: what the
-    air leaves of a speed in an elastic substep; `rebuild_s`: time until the next candidate search
-    [s].
+    `elastic_s` and `substep_s`: lengths of the substeps [s]; `inverse_square`: 1 / elastic_s^2
+    [1/s^2]; `decay`: factor by which air drag reduces a speed in an elastic substep; `rebuild_s`:
+    time until the next candidate search [s].
     """
 
     elastic_s: float
@@ -63,7 +64,7 @@ def attach(
     goals: wp.array2d(dtype=wp.vec3),
     inverse_masses: wp.array2d(dtype=float),
 ):
-    """Spread an attachment over the environments; no target lies inside the table."""
+    """Copy an attachment to all environments, and move targets out of the table."""
     environment, vertex = wp.tid()
     source = wp.min(environment, targets.shape[0] - 1)
     rate = rates[source, vertex]
@@ -91,7 +92,7 @@ def predict(
     predicted: wp.array(dtype=wp.vec3),
     velocities: wp.array(dtype=wp.vec3),
 ):
-    """Fly freely for one elastic substep, with drag."""
+    """Predict free flight with drag for one elastic substep."""
     flying = (velocity + gravity * clock.elastic_s) * clock.decay
     arrival = position + clock.elastic_s * flying
     velocities[vertex] = flying
@@ -111,7 +112,7 @@ def follow(
     predicted: wp.array(dtype=wp.vec3),
     velocities: wp.array(dtype=wp.vec3),
 ):
-    """Move a held vertex by its share of the way that is left."""
+    """Move a held vertex by its share of the remaining distance."""
     way = (goal - position) / float(left)
     velocities[vertex] = way / clock.elastic_s
     predicted[vertex] = position + way
@@ -133,11 +134,11 @@ def begin_substep(
     predicted: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
 ):
-    """Move what is attached, then predict where the vertices fly.
+    """Move held vertices, apply soft pulls, then predict the free flight of the other vertices.
 
-    A soft pull is a critically damped spring, integrated implicitly: it does the same whatever the
-    number of substeps and does not swing. It also carries the vertex's weight, which the
-    observation that gave the target has already felt.
+    A soft pull is a critically damped spring, integrated implicitly. Its effect does not depend on
+    the number of substeps, and it does not oscillate. It also cancels the vertex's weight, because
+    the observed target already includes the effect of gravity.
     """
     environment, thread = wp.tid()
     clock = clocks[0]
@@ -180,10 +181,10 @@ def continue_substep(
     predicted: wp.array2d(dtype=wp.vec3),
     elastic_substep: int,
 ):
-    """Let the constraints change the velocity, then predict the next elastic substep.
+    """Update the velocity from the constraints, then predict the next elastic substep.
 
-    The change is added to the predicted velocity: a difference of positions alone would lose it
-    to rounding, which at these short times is biased by a percent.
+    The change is added to the predicted velocity. A difference of positions alone would lose it to
+    rounding, which has a bias of one percent at these short times.
     """
     environment, thread = wp.tid()
     clock = clocks[0]
@@ -219,11 +220,12 @@ def solve_distances(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One Gauss-Seidel pass over the pairs of one color (XPBD, equation 18), a thread each.
+    """Run one Gauss-Seidel pass over the pairs of one color (XPBD, equation 18), a thread each.
 
-    A pair shorter than `limit` of its length resists without compliance: a sharp crease, for bend
-    pairs; for edges the limit is 0. Another that is shorter than its length gives `buckling` times
-    more than one that is longer: edges, where folds are finer than they are; for bend pairs 1.
+    A pair shorter than `limit` times its rest length has no compliance. For bend pairs this is a
+    sharp crease; for edges the limit is 0. Other pairs shorter than their rest length are
+    `buckling` times more compliant than longer ones. This models folds finer than an edge; for bend
+    pairs it is 1.
     """
     environment, place = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
@@ -272,11 +274,11 @@ def end_substep(
     highest_speed: wp.array(dtype=float),
     substeps_left: wp.array(dtype=int),
 ):
-    """Apply contact and table, take the velocities, let supported slow vertices sleep.
+    """Apply contact and table, update the velocities, let supported slow vertices sleep.
 
-    Contact and table stop what approaches; undoing an older crossing moves a vertex but gives it
-    no speed, so that a layer that was placed inside another is not flung away. What is pulled does
-    not sleep: it would never come to a goal that is less than a millimeter away.
+    Contact and table stop approaching vertices. Undoing an older crossing moves a vertex but does
+    not change its velocity, so that a layer that was placed inside another is not flung away.
+    Pulled vertices do not sleep, because they would never reach a goal less than a millimeter away.
     """
     environment, thread = wp.tid()
     if environment == 0 and thread == 0:

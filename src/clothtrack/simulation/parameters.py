@@ -1,4 +1,4 @@
-"""What a cloth is made of, and how its motion is computed."""
+"""Material parameters of a cloth, and settings of the solver."""
 
 import math
 from dataclasses import dataclass
@@ -9,29 +9,29 @@ from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive, Shar
 from clothtrack.recordings.recording import Table
 
 ELASTIC_SUBSTEPS = 3
-"""Parts of a substep; stretch and bend are solved once in each. The sag of a hanging cloth falls
-with the square of their number."""
+"""Elastic substeps per substep; stretch and bend are solved once in each. The sag of a hanging
+cloth decreases with the square of their number."""
 
 THICKNESS_M = 0.003
-"""Distance that layers keep unless a configuration says otherwise [m]."""
+"""Default distance between layers [m]."""
 
 RESTING_HEIGHT_M = 0.5 * THICKNESS_M
-"""Height at which the vertices of such a cloth rest above the table [m]."""
+"""Height of the vertices of such a cloth at rest above the table [m]."""
 
 SETTLE_IN_S = 1e-3
-"""Time [s] in which the solver learns on which side of each other a flat garment's layers are."""
+"""Duration [s] of the first step, in which contact stores the sides of a flat garment's layers."""
 
 CONTACT_TOLERANCE = 0.15
-"""How far outside a triangle a vertex still touches it, in barycentric units."""
+"""Distance outside a triangle at which a vertex still touches it, in barycentric units."""
 
 
 @dataclass(frozen=True)
 class ClothParameters(Checked):
-    """Material of one cloth: what a calibration searches, one value per environment.
+    """Material of one cloth, which a calibration searches; one value per environment.
 
     Attributes:
-        stretch_compliance: inverse stiffness of an edge [m/N]; 0 does not stretch.
-        bend_compliance: inverse stiffness between the two vertices that face each other across an
+        stretch_compliance: inverse stiffness of an edge [m/N]; 0: the edge does not stretch.
+        bend_compliance: inverse stiffness between the two vertices opposite each other across an
             edge [m/N].
         table_friction: Coulomb coefficient between cloth and table.
         particle_friction: Coulomb coefficient between cloth and cloth.
@@ -50,28 +50,28 @@ def _is_finite(value: object) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SolverConfig(Checked):
-    """How the motion is computed; the same for all environments.
+    """Settings of the solver; they are the same for all environments.
 
     Attributes:
-        thickness_m: distance that layers keep [m]; a vertex rests half of it above the table.
+        thickness_m: distance between layers [m]; a vertex rests half of it above the table.
         substep_s: longest substep [s]; contacts and the table are solved once per substep.
         area_density: mass per area [kg/m^2].
-        gravity: acceleration of the whole scene [m/s^2]; add a draught or a tilted camera here.
+        gravity: acceleration of the whole scene [m/s^2]; add a draft or a tilted camera here.
         damping: rate at which a free vertex loses speed to the air [1/s].
-        sleep_speed: a vertex that touched something lately and is slower [m/s] stays where it is
-            (FleX's sleep threshold, only for vertices that are supported and not pulled).
-        speed_limit: highest speed a vertex keeps after a substep [m/s].
+        sleep_speed: a vertex that recently touched something and is slower than this [m/s] does not
+            move (FleX's sleep threshold, only for vertices that are supported and not pulled).
+        speed_limit: highest speed of a vertex after a substep [m/s].
         table: the plane under the cloth, or None.
         rebuild_s: time between two searches for contact candidates [s].
-        contact_margin_m: candidates are kept this far beyond the contact distance [m].
-        contact_depth_m: deepest crossing that a contact still knows how to undo [m].
-        edge_contact: let creased edges keep clear of edges too.
-        push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; one that is
-            still on its own side is kept there whatever it takes.
-        bend_limit: share of the rest length under which a bend pair resists without compliance.
-        buckling: how many times more an edge gives to a push than to a pull. Cloth buckles between
-            the vertices of a coarse mesh, whose edges would be struts; 1: they are. It multiplies
-            the stretch compliance: an edge that does not stretch is a strut whatever this says.
+        contact_margin_m: candidates are kept up to this far beyond the contact distance [m].
+        contact_depth_m: deepest crossing that a contact can still undo [m].
+        edge_contact: whether creased edges are also in contact with other edges.
+        push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; a layer that is
+            still on its own side is kept there without a limit.
+        bend_limit: share of the rest length below which a bend pair has no compliance.
+        buckling: ratio of an edge's compliance in compression to that in tension. Real cloth
+            buckles between the vertices of a coarse mesh; with 1 the edges act as struts. It
+            multiplies the stretch compliance, so an edge that does not stretch is always a strut.
     """
 
     thickness_m: Positive = THICKNESS_M
@@ -91,7 +91,7 @@ class SolverConfig(Checked):
     buckling: Annotated[float, Bounds(least=1)] = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be computed.
+        """Reject settings that cannot be computed.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.

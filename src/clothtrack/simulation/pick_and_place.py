@@ -1,7 +1,6 @@
-"""Random pick-and-places: where the gripper grasps, and the path of its tip.
+"""Random pick-and-places: the grasp of the gripper, and the path of its tip.
 
-A path is cut at the frames of the camera: grasp and release happen exactly when a picture is
-taken, as with a robot that waits for its camera.
+Grasp and release happen exactly at camera frames, as with a robot that waits for its camera.
 """
 
 from dataclasses import dataclass
@@ -18,22 +17,22 @@ Picks = Literal["outline", "middle", "folded", "pulled"]
 
 _SHARE_OF_EXTREMES = 0.8
 _SHARE_STRAIGHT = 0.75
-"""Share of places within 45 degrees of the way inwards, or outwards for what is pulled."""
+"""Share of places within 45 degrees of the inward direction, or outward for "pulled" picks."""
 
 _RAMP = 0.2
-"""Share of a path's time that speeding up takes, and slowing down."""
+"""Share of a path's time for acceleration, and the same for deceleration."""
 
 _MIDDLE_M = 0.04
-"""How far from the middle of the cloth [m] a pick in its middle is at most."""
+"""Maximum distance of a "middle" pick from the middle of the cloth [m]."""
 
 MOST_LAYERS = 8
-"""As many layers as the gripper takes at most."""
+"""Maximum number of layers that the gripper takes."""
 
 _LAYERS_APART_M = 0.03
-"""Cloth of one stack that is farther apart than this [m] in the canonical pose is of two layers."""
+"""Vertices of one stack farther apart than this [m] in the canonical pose are on two layers."""
 
 _FOLD_REACH_M = 0.05
-"""Cloth that lies together and is farther apart than this [m] in the flat cloth is folded."""
+"""Vertices that lie together but are farther apart than this [m] in the flat cloth are folded."""
 
 
 Length = Annotated[float, Bounds(least=0, most=10)]
@@ -43,24 +42,24 @@ Speed = Annotated[float, Bounds(least=1e-3, most=100)]
 
 @dataclass(frozen=True)
 class ActionConfig(Checked):
-    """Ranges that random pick-and-places are drawn from, and how the gripper moves.
+    """Ranges of random pick-and-places, and motion of the gripper.
 
     Attributes:
-        distance_m: least and largest horizontal distance of a place from its pick [m].
-        lift_m: least and largest height of the path over the straight line [m].
+        distance_m: smallest and largest horizontal distance of a place from its pick [m].
+        lift_m: smallest and largest height of the path above the straight line [m].
         speed: highest speed of the tip while it holds cloth [m/s].
-        both_layers: share of grasps that take the cloth underneath too.
+        both_layers: share of grasps that also take the cloth underneath.
         grasp_radius_m: horizontal reach of the gripper [m].
-        reach_m: no place farther from the table's origin than this [m].
+        reach_m: largest distance of a place from the table's origin [m].
         release_height_m: height of the tip above its grasp height when it opens [m].
         free_speed: speed of the tool without cloth [m/s].
         frame_rate: pictures per second [1/s].
-        picks: where grasps are: mostly at the "outline" of the cloth, in its "middle" as it lies,
-            or on "folded" cloth (once there is any), all its layers taken and carried inwards, so
-            that folds come over folds; "pulled" cloth is taken at the outline and carried
-            outwards, as by somebody who flattens it.
-        clear_held: the release height is that of the lowest layer held, not of the tip, so that
-            a stack is laid down and not pressed into the table.
+        picks: location of the grasps. "outline": mostly at the outline of the cloth; "middle": in
+            the middle of the lying cloth; "folded": on folded cloth (once there is any), with all
+            its layers, carried inward, so that folds are stacked on folds; "pulled": at the outline
+            and carried outward, as a person does to flatten it.
+        clear_held: whether the release height is that of the lowest held layer instead of the tip,
+            so that a stack is laid down and not pressed into the table.
     """
 
     distance_m: Lengths = (0.05, 0.2)
@@ -78,14 +77,14 @@ class ActionConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class PlannedAction:
-    """One pick-and-place, planned on the cloth as it lies.
+    """One pick-and-place, planned for the current cloth.
 
     Attributes:
         held: vertices of the cloth that the gripper takes.
-        pick: where it closes [m].
-        place: where it opens [m].
-        lift_m: height of the path over the straight line [m].
-        folded: the pick is on cloth that lies folded.
+        pick: position where it closes [m].
+        place: position where it opens [m].
+        lift_m: height of the path above the straight line [m].
+        folded: whether the pick is on folded cloth.
     """
 
     held: Int[np.ndarray, " held"]
@@ -96,15 +95,15 @@ class PlannedAction:
 
 
 def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator) -> PlannedAction:
-    """Return a random pick-and-place of the cloth as it lies now.
+    """Return a random pick-and-place for the current cloth.
 
     Most picks are extreme points of the outline in a random direction (corners, cuffs, hems),
-    and most of those move towards the middle of the cloth, so that it folds.
+    and most of those move toward the middle of the cloth, so that it folds.
 
     Args:
         cloth: the cloth at its present vertices [m].
         config: ranges to draw from.
-        rng: source of the choice.
+        rng: random generator.
     """
     points = cloth.vertices
     middle = points[:, :2].mean(axis=0)
@@ -135,11 +134,11 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
 def folded_vertices(cloth: ClothMesh, radius_m: float) -> Bool[np.ndarray, " vertices"]:
     """Return which vertices lie over or under another part of the cloth, seen from above.
 
-    The two layers of a garment that lie on each other in the flat garment already do not count.
+    The two layers that already lie on each other in the flat garment do not count.
 
     Args:
-        cloth: the cloth at its present vertices [m]; its canonical coordinates tell the parts.
-        radius_m: how near [m] the other part is in the plane of the table.
+        cloth: the cloth at its present vertices [m]; its canonical coordinates identify the parts.
+        radius_m: largest distance [m] of the other part in the plane of the table.
     """
     flat = cloth.vertices if cloth.canonical is None else cloth.canonical
 
@@ -157,7 +156,7 @@ def _chosen(
     picks: Picks,
     rng: np.random.Generator,
 ) -> int:
-    """Return the vertex above which the gripper comes down."""
+    """Return the vertex above which the gripper descends."""
     if picks == "middle":
         off = np.linalg.norm(points[:, :2] - middle, axis=1)
         near = np.flatnonzero(off < max(_MIDDLE_M, float(off.min())))
@@ -189,7 +188,7 @@ def _place(
         place = pick + way * np.array([np.cos(heading), np.sin(heading), 0.0])
         if np.linalg.norm(place[:2]) < config.reach_m:
             return place
-    # The pick is out of reach itself: bring the cloth back.
+    # The pick itself is out of reach: bring the cloth back.
     home = pick * [1.0, 1.0, 0.0]
     return pick - config.distance_m[1] * home / np.linalg.norm(home)
 
@@ -197,9 +196,10 @@ def _place(
 def carrying_path(
     action: PlannedAction, config: ActionConfig, time_step_s: float
 ) -> Float[np.ndarray, "steps 3"]:
-    """Return the tip positions [m] after each time step from grasp to release; whole pictures long.
+    """Return the tip positions [m] after each time step from grasp to release.
 
-    Rises steeply, carries, comes down steeply; speeds up and slows down smoothly.
+    The path rises steeply, carries, and descends steeply, with smooth acceleration and
+    deceleration. It lasts a whole number of pictures.
     """
     at = np.linspace(0.0, 1.0, 2001)
     across = at**2 * (3.0 - 2.0 * at)
@@ -218,9 +218,9 @@ def carrying_path(
 def free_path(
     start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"], config: ActionConfig
 ) -> Float[np.ndarray, "frames 3"]:
-    """Tip positions [m] at each picture on the straight path between two points, without cloth.
+    """Return tip positions [m] at each picture on a straight path without cloth.
 
-    The start itself is left out; the last position is the end.
+    The start is not included; the last position is the end.
     """
     way = np.linalg.norm(end - start)
     frames = max(1, int(np.ceil(way / config.free_speed * config.frame_rate)))
@@ -228,7 +228,7 @@ def free_path(
 
 
 def _eased(time: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
-    """Return the share of the way at each share of the time: a trapezoid of speed."""
+    """Return the share of the path at each share of the time, for a trapezoidal speed profile."""
     top = 1.0 / (1.0 - _RAMP)
     rising = 0.5 * top * time**2 / _RAMP
     level = top * (time - 0.5 * _RAMP)
@@ -237,7 +237,7 @@ def _eased(time: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
 
 
 def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
-    """Return the nearest vertex of the layer right under a vertex; none where the table is."""
+    """Return the nearest vertex of the layer directly under a vertex; none above bare table."""
     points = cloth.vertices
     gap = np.linalg.norm(points[:, :2] - points[top, :2], axis=1)
     depth = points[top, 2] - points[:, 2]
@@ -247,7 +247,7 @@ def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
 
 
 def _whole_stack(cloth: ClothMesh, top: int, radius: float) -> list[int]:
-    """Return a vertex and one of each other part of the cloth in its column, the nearest first."""
+    """Return `top` and one vertex of each other part of the cloth in its column, nearest first."""
     flat = cloth.vertices if cloth.canonical is None else cloth.canonical
     gap = np.linalg.norm(cloth.vertices[:, :2] - cloth.vertices[top, :2], axis=1)
     held = [top]

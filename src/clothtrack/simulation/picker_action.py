@@ -11,16 +11,16 @@ class HeldMotion:
     """The path of held vertices during a roll-out.
 
     Attributes:
-        vertices: which vertices are held.
-        waypoints: where they are to be [m], at times equally spaced over the roll-out, the first
-            at its start; with an environments axis when the paths differ.
+        vertices: the held vertices.
+        waypoints: their targets [m] at times equally spaced over the roll-out, the first at its
+            start; with an environments axis if the paths differ.
     """
 
     vertices: Int[np.ndarray, " held"]
     waypoints: Float[np.ndarray, "knots held 3"] | Float[np.ndarray, "environments knots held 3"]
 
     def at(self, share: float) -> Float[np.ndarray, "environments held 3"]:
-        """Return where the vertices are after a share of the roll-out (0 to 1), linear between."""
+        """Return the targets after a share of the roll-out (0 to 1), by linear interpolation."""
         points = np.asarray(self.waypoints, dtype=np.float64)
         if points.ndim == 3:
             points = points[None]
@@ -32,7 +32,7 @@ class HeldMotion:
 
     @property
     def longest_path_m(self) -> float:
-        """Path length of a vertex that keeps the pace of the fastest leg throughout [m]."""
+        """Path length [m] of a vertex that moves at the speed of the fastest leg throughout."""
         points = np.asarray(self.waypoints, dtype=np.float64)
         if points.size == 0 or points.shape[-3] < 2:
             return 0.0
@@ -47,7 +47,7 @@ class PickerAction:
     Attributes:
         motion: the held vertices and their path; None holds none.
         duration_s: time between the frames [s].
-        speed: of the fastest picker that holds cloth [m/s].
+        speed: speed of the fastest picker that holds cloth [m/s].
     """
 
     motion: HeldMotion | None

@@ -1,4 +1,4 @@
-"""The cloth solver: many copies of one cloth, each with its own material, stepped together."""
+"""The cloth solver: steps many copies of one cloth together, each with its own material."""
 
 import logging
 import math
@@ -28,19 +28,19 @@ logger = logging.getLogger(__name__)
 class ClothSolver:
     """Position-based cloth with contact, friction and a table (XPBD, small steps).
 
-    A substep is captured once as a graph; a step launches it as often as its duration asks.
+    A substep is captured once as a graph; a step launches it as often as its duration requires.
     Environment i of a batch has the same bits as a single run with its parameters, and a restored
     state replays bit for bit on the same device.
 
-    Limitations: edges keep clear of creased and open edges only, and forget between searches on
-    which side they were; contact averages its impulses, which conserves momentum exactly only
-    where the touching vertices have equal shares in their pairs. What contact and table push out,
-    or friction holds back, stretches the threads at no cost, and they make speed of it: a cloth can
-    gain energy, up to `speed_limit`. Near the default that is rare (docs/reliability.md).
+    Limitations: edges are in contact with creased and open edges only, and do not store their side
+    between searches. Contact averages its impulses, which conserves momentum exactly only where
+    the touching vertices have equal shares in their pairs. Position changes by contact, table and
+    friction stretch edges without doing work, and the edges convert the stretch to speed, so a
+    cloth can gain energy, up to `speed_limit`. Near the default that is rare (docs/reliability.md).
 
     Attributes:
         mesh: the cloth; its vertices are the rest shape.
-        config: how the motion is computed.
+        config: settings of the solver.
         environments: number of copies.
         device: Warp device, "cpu" or "cuda:0".
     """
@@ -54,10 +54,10 @@ class ClothSolver:
         environments: int = 1,
         device: str = "cpu",
     ) -> None:
-        """Put every environment at rest in the mesh's own shape.
+        """Put every environment at rest in the rest shape of the mesh.
 
         Raises:
-            InvalidConfigError: when the number of parameters is not the number of environments.
+            InvalidConfigError: the number of parameters is not the number of environments.
         """
         self.mesh = mesh
         self.config = config or SolverConfig()
@@ -90,14 +90,14 @@ class ClothSolver:
 
     @property
     def contact_overflows(self) -> np.ndarray:
-        """How often a contact found no free slot, per environment, since the solver began."""
+        """Number of contacts without a free slot since the start, per environment."""
         return self._contact.overflows.numpy().copy()
 
     def set_parameters(self, parameters: ClothParameters | Sequence[ClothParameters]) -> None:
-        """Give every environment its material; one for all, or one each.
+        """Set the material of the environments, one for all or one for each.
 
         Raises:
-            InvalidConfigError: when the number of parameters is not the number of environments.
+            InvalidConfigError: the number of parameters is not the number of environments.
         """
         if isinstance(parameters, ClothParameters):
             parameters = [parameters] * self.environments
@@ -114,15 +114,15 @@ class ClothSolver:
         overwrite(self._material, np.array(rows, dtype=np.float32).T)
 
     def save(self) -> ClothState:
-        """Return everything that the next step depends on, copied to the host."""
+        """Return the full state that the next step depends on, copied to the host."""
         memory = ContactMemory(*self._contact.memory(), self._buffers.airborne.numpy().copy())
         return ClothState(self.positions, self.velocities, memory)
 
     def restore(self, state: ClothState) -> None:
-        """Go back to a saved state; a state of one environment is given to all.
+        """Restore a saved state; a state of one environment is copied to all.
 
         Raises:
-            InvalidConfigError: when the state is of another cloth or number of environments.
+            InvalidConfigError: the state is of another cloth or number of environments.
         """
         if state.environments not in (1, self.environments):
             raise InvalidConfigError(
@@ -141,15 +141,15 @@ class ClothSolver:
         self._contact.restore(memory.sides, memory.distances, memory.counts)
 
     def place(self, positions: Float[np.ndarray, "*environments vertices 3"]) -> None:
-        """Move the vertices [m] without forgetting on which side of each other they were.
+        """Set the vertex positions [m] and keep the stored contact sides.
 
-        One environment (or no environment axis) is given to all; velocities stay.
+        One environment (or no environment axis) is copied to all; velocities are unchanged.
         """
         positions = np.asarray(positions, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
         overwrite(self._buffers.positions, positions)
 
     def set_velocities(self, velocities: Float[np.ndarray, "*environments vertices 3"]) -> None:
-        """Set the velocities [m/s]; one environment is given to all."""
+        """Set the velocities [m/s]; one environment is copied to all."""
         shaped = np.asarray(velocities, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
         overwrite(self._buffers.velocities, shaped)
 
@@ -161,14 +161,14 @@ class ClothSolver:
         """Advance all environments.
 
         Args:
-            duration_s: how long [s]; any length, cut into equal substeps.
-            attachment: what is pulled where; None leaves everything free.
-            coarseness: substeps, and the time between two searches for contact, are so many times
-                as long as configured.
+            duration_s: duration [s]; any length, divided into equal substeps.
+            attachment: targets of vertices; None leaves all of them free.
+            coarseness: substeps, and the time between two contact searches, are this many times as
+                long as configured.
 
         Returns:
-            The highest speed [m/s] that a free vertex had after any substep, before the speed
-            limit: the sign of an explosion. Infinite when the cloth left the finite numbers.
+            The highest speed [m/s] of a free vertex after any substep, before the speed limit. It
+            reveals an explosion, and is infinite if positions are no longer finite.
         """
         search, substep = self._graphs or self._capture()
         longest_s = coarseness * self.config.substep_s
@@ -211,7 +211,7 @@ class ClothSolver:
         launch.launch()
 
     def _attach(self, environments: int) -> tuple[wp.array, wp.array, wp.Launch]:
-        """Return room for targets and rates of so many environments, and what spreads them."""
+        """Return buffers for targets and rates, and the launch that copies them to environments."""
         if environments not in self._attaching:
             buffers, device = self._buffers, self.device
             shape = (environments, self.mesh.vertex_count)
@@ -238,7 +238,7 @@ class ClothSolver:
     # Graphs
 
     def _capture(self) -> tuple[wp.Graph | None, wp.Graph | None]:
-        # The first launches compile and reserve memory, which a capture on CUDA must not do.
+        # The first launches compile and allocate memory, which a CUDA graph capture must not do.
         state = self.save()
         self._set_clock(self.config.substep_s, 1, self.config.rebuild_s)
         self._contact.find()

@@ -1,4 +1,4 @@
-"""What changes while a cloth moves, and what is asked of it."""
+"""State of a moving cloth, and attachments that pull its vertices."""
 
 from dataclasses import dataclass, replace
 
@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 @dataclass(frozen=True, eq=False)
 class ContactMemory:
-    """Which vertex is on which side of which triangle: what keeps layers in their order.
+    """Stored side of each vertex-triangle pair, which keeps layers in their order.
 
     Attributes:
-        sides: triangle number + 1, positive when the vertex is on the side of the triangle's
-            normal, negative when behind; 0 marks an empty slot.
-        distances: distance that the pair keeps [m].
+        sides: triangle number + 1, positive if the vertex is on the side of the triangle's
+            normal, negative if behind; 0 marks an empty slot.
+        distances: contact distance of the pair [m].
         counts: filled slots per vertex.
         airborne: substeps since the vertex last touched anything.
     """
@@ -26,10 +26,10 @@ class ContactMemory:
     def without(
         self, vertices: Bool[np.ndarray, " vertices"], faces: Int[np.ndarray, "faces 3"]
     ) -> "ContactMemory":
-        """Return the same without the pairs that some vertices are part of, in any environment.
+        """Return the memory without all pairs that contain these vertices, in any environment.
 
         Args:
-            vertices: that were moved past others: their sides are to be found anew.
+            vertices: vertices that were moved past others, so that their sides are found anew.
             faces: the cloth's triangles.
         """
         triangle = np.abs(self.sides) - 1
@@ -44,12 +44,12 @@ class ContactMemory:
 
 @dataclass(frozen=True, eq=False)
 class ClothState:
-    """Everything that the next step depends on, for one or many environments.
+    """Full state that the next step depends on, for one or many environments.
 
     Attributes:
         positions: vertices in the world [m].
         velocities: their velocities [m/s].
-        contacts: the contacts' memory.
+        contacts: the contact memory.
     """
 
     positions: Float32[np.ndarray, "environments vertices 3"]
@@ -64,20 +64,20 @@ class ClothState:
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """Where vertices are pulled during a step. One environment stands for all of them.
+    """Targets of vertices during a step. One environment applies to all of them.
 
     Attributes:
-        targets: where attached vertices are to be at the end of the step [m], world.
-        strength: 0 is free; 1 is held: moved there in a straight line, whatever it meets; between
-            them a critically damped spring that closes this share of the distance during the
-            step from rest, as far as stretch, contact and table let it.
+        targets: positions of attached vertices at the end of the step [m], world.
+        strength: 0 is free; 1 is held, that is moved to the target in a straight line through any
+            obstacle; between them a critically damped spring that, from rest, closes this share of
+            the distance during the step, as far as stretch, contact and table allow.
     """
 
     targets: Float[np.ndarray, "environments vertices 3"]
     strength: Float[np.ndarray, "environments vertices"]
 
 
-# Share that a critically damped spring has closed after rate x time, starting at rest.
+# Share of the distance that a critically damped spring closes after rate x time, from rest.
 _TURNS = np.linspace(0.0, 25.0, 5001)
 _SHARES = 1.0 - (1.0 + _TURNS) * np.exp(-_TURNS)
 
@@ -85,7 +85,7 @@ _SHARES = 1.0 - (1.0 + _TURNS) * np.exp(-_TURNS)
 def pull_rate(
     strength: Float[np.ndarray, "*axes"], duration_s: float
 ) -> Float[np.ndarray, "*axes"]:
-    """Rate [1/s] of the critically damped spring that closes a share of its way in a time.
+    """Return the rate [1/s] of a critically damped spring that closes a share of its distance.
 
     From rest the share after a time t is 1 - (1 + r t) exp(-r t).
     """
@@ -95,9 +95,9 @@ def pull_rate(
 def pull_strength(
     rate: Float[np.ndarray, "*axes"], duration_s: float
 ) -> Float[np.ndarray, "*axes"]:
-    """Return the share of the way that a spring of this rate [1/s] closes in a time.
+    """Return the share of the distance that a spring of this rate [1/s] closes in a time.
 
-    Undoes `pull_rate`.
+    This is the inverse of `pull_rate`.
     """
     turns = np.asarray(rate) * duration_s
     return np.minimum(1.0 - (1.0 + turns) * np.exp(-turns), np.nextafter(1.0, 0.0))

@@ -1,10 +1,10 @@
-"""Stretch and bend on a CPU: one thread goes through all constraints of an environment.
+"""Stretch and bend on a CPU: one thread solves all constraints of an environment.
 
-The same as `solve_distances` color by color, but written in C++, because only there can be said
-what a color is: its constraints share no vertex, so four of them may be solved at once by vector
-instructions. Two vertices stand far apart in memory; each is fetched as a whole, and four of them
-are turned into vectors of x, y and z in registers. That is three quarters faster than gathering
-coordinate by coordinate, and needs no more than every processor has.
+The result is that of `solve_distances` for one color after another. The code is C++, because only
+there one can use that the constraints of a color share no vertex: four of them are solved at once
+with vector instructions. Vertices are scattered in memory, so each is loaded as a whole, and four
+of them are transposed into vectors of x, y and z in registers. That is three quarters faster than
+gathering coordinate by coordinate, and needs only instructions that every processor has.
 """
 
 from typing import no_type_check
@@ -129,10 +129,10 @@ def sweep_constraints(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One Gauss-Seidel pass over all colors; `colors` says where each begins, and the end.
+    """Run one Gauss-Seidel pass over all colors; `colors` gives the start of each, and the end.
 
-    A pair shorter than `limit` of its length resists without compliance; another that is shorter
-    than its length gives `buckling` times more than one that is longer.
+    A pair shorter than `limit` times its rest length has no compliance. Other pairs shorter than
+    their rest length are `buckling` times more compliant than longer ones.
     """
     environment = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square

@@ -1,9 +1,9 @@
-"""Takes a cloth that has passed through itself apart again, whatever it was before.
+"""Remove self-intersections of a cloth without knowing its history.
 
-Contact remembers on which side of each other two layers were, and cannot undo a crossing that it
-remembers the wrong way round. Untangling asks for no history: it moves the two sheets of each line
-of intersection apart until there is none (`contour_moves`), and after every move a few passes over
-the edges give them their lengths back (XPBD, as in the solver).
+Contact stores on which side of each other two layers were, and cannot undo a crossing that it
+stored the wrong way round. Untangling needs no history. It moves the two sheets of each
+intersection contour apart until no contour is left (`contour_moves`). After every move a few passes
+over the edges restore their lengths (XPBD, as in the solver).
 """
 
 from dataclasses import dataclass
@@ -23,39 +23,40 @@ from clothtrack.simulation.contour_moves import ContourMoves
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 STEPS = 0.6, 0.12
-"""Longest move of a vertex in the first and in the last possible round, in median edges.
-A fifth of it leaves many times the crossings: what is folded within an edge is not stepped over."""
+"""Longest move of a vertex in the first and in the last possible round, in median edge lengths.
+Moves of a fifth of this leave many times the crossings, because they cannot step over folds that
+are smaller than an edge."""
 
 REACH = 4
-"""Edges from a moved vertex within which lengths are kept, and vertices may follow."""
+"""Distance from a moved vertex, in edges, within which lengths are kept and vertices may move."""
 
 _SWEEPS = 6
 """Passes over the edges after each move."""
 
 _GIVE = 0.2
-"""What an edge gives in a pass, against 2 for its two vertices."""
+"""Compliance of an edge in a pass, relative to 2 for its two vertices."""
 
 PATIENCE = 10
-"""Rounds without fewer crossings before the other way is tried: with small pieces taken back, or by
-shortening alone. Two changes without success are the end."""
+"""Rounds without fewer crossings before the strategy changes between moving small pieces back and
+shortening alone. Untangling ends after two changes without success."""
 
 _STRAIGHTENING = 8
-"""Most times that edges are straightened further at the end, while no crossing comes back."""
+"""Maximum passes that straighten edges further at the end, while no crossing comes back."""
 
 _BACK_OUT = 0.1
-"""Step that takes a crossing back out which straightening made, in median edges."""
+"""Step that removes a crossing caused by straightening, in median edge lengths."""
 
 
 @dataclass(frozen=True, eq=False)
 class Untangling:
-    """What became of a cloth that had passed through itself.
+    """Result of untangling a cloth.
 
     Attributes:
-        positions: of the vertices [m]: those with the fewest crossings of all rounds. Vertices far
-            from any crossing have their bits.
+        positions: vertex positions [m] with the fewest crossings of all rounds. Vertices far from
+            any crossing are unchanged to the bit.
         crossings_before: edges that passed through a triangle (`geometry.quality: crossings`).
-        crossings_after: edges that still do; more than none says that it failed.
-        rounds: moves that were tried.
+        crossings_after: edges that still do; untangling failed if this is not 0.
+        rounds: number of moves tried.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
@@ -73,27 +74,27 @@ def untangled(
     rounds: int = 80,
     device: str = "cpu",
 ) -> Untangling:
-    """Return the cloth with as few passages through itself as can be had.
+    """Return the cloth with as few self-intersections as possible.
 
     Args:
-        mesh: the cloth; where its vertices are tells the lengths of its edges.
-        positions: where its vertices are [m].
-        mobility: how readily each vertex moves, 0 to 1: less where it was seen to be; 1 when None.
+        mesh: the cloth; its vertices define the rest lengths of the edges.
+        positions: current vertex positions [m].
+        mobility: how readily each vertex moves, 0 to 1; lower where it was observed; None: 1.
         table: no vertex is moved farther into it.
-        rounds: most moves.
+        rounds: maximum number of moves.
         device: "cpu" or "cuda:0".
 
     Returns:
-        The positions, and how many crossings there were and are.
+        The positions, and the number of crossings before and after.
     """
     return Untangler(mesh, device=device)(positions, mobility=mobility, table=table, rounds=rounds)
 
 
 class Untangler:
-    """`untangled` of one cloth, as often as wanted; what only a crossing needs waits for one.
+    """Reusable `untangled` for one cloth; what only crossings need is built at the first one.
 
     Args:
-        mesh: the cloth; where its vertices are tells the lengths of its edges.
+        mesh: the cloth; its vertices define the rest lengths of the edges.
         device: "cpu" or "cuda:0".
     """
 
@@ -110,14 +111,14 @@ class Untangler:
         table: Table | None = None,
         rounds: int = 80,
     ) -> Untangling:
-        """Return what `untangled` returns."""
+        """Return the same as `untangled`."""
         given = np.asarray(positions)
         ready = np.ones(len(given)) if mobility is None else np.asarray(mobility, np.float64)
         return _Attempt(self, given, ready, table).run(rounds)
 
     @cached_property
     def moves(self) -> ContourMoves:
-        """How vertices move so that contours become shorter."""
+        """Vertex moves that shorten contours."""
         return ContourMoves(self.search)
 
     @cached_property
@@ -127,7 +128,7 @@ class Untangler:
 
     @cached_property
     def joined(self) -> sparse.csr_array:
-        """Which vertices an edge joins."""
+        """Adjacency matrix of the vertices."""
         i, j = self._mesh.edges.T
         ends = np.concatenate([i, j]), np.concatenate([j, i])
         ones = np.ones(2 * len(i), np.int8)
@@ -135,7 +136,7 @@ class Untangler:
 
 
 class _Attempt:
-    """One untangling: what was found best, and how it goes on."""
+    """One untangling run and its best result so far."""
 
     def __init__(
         self,
@@ -152,7 +153,7 @@ class _Attempt:
             self._lowest = np.minimum(_heights(self._best, table), RESTING_HEIGHT_M)
 
     def run(self, rounds: int) -> Untangling:
-        """Move until nothing crosses, nothing helps, or the rounds are used up."""
+        """Move until there are no crossings, no progress, or no rounds left."""
         positions = self._best
         found = self._search.contours(positions)
         before = fewest = found.crossing_edges
@@ -187,24 +188,24 @@ class _Attempt:
         for _ in range(REACH):
             near |= self._cloth.joined @ near > 0
         self._free |= near & (self._mobility > 0.0)
-        # A zero added to a negative zero would change its bits.
+        # Adding zero to a negative zero would change its bits.
         return self._kept(np.where(self._free[:, None], positions + move, positions), sweeps)
 
     def _kept(
         self, positions: Float[np.ndarray, "vertices 3"], sweeps: int
     ) -> Float[np.ndarray, "vertices 3"]:
-        """The positions with edges straightened, and nothing farther in the table than it was."""
+        """Return the positions with edge lengths restored, no deeper in the table than before."""
         kept = positions
         if sweeps:
             kept = self._cloth.keep_lengths(kept, self._free * self._mobility, sweeps)
         if self._table is not None:
             inside = np.maximum(self._lowest - _heights(kept, self._table), 0.0)
             kept = kept + inside[:, None] * self._table.normal
-        # Single precision for what moves, so that the count is that of the result in any precision.
+        # Round moved vertices to single precision, so that the count holds in any precision.
         return np.where(self._free[:, None], kept.astype(np.float32), positions)
 
     def _straighten(self, fewest: int) -> None:
-        """Give edges more of their lengths back while that makes no crossing."""
+        """Restore edge lengths further as long as that adds no crossing."""
         for _ in range(_STRAIGHTENING):
             positions = self._kept(self._best, _SWEEPS)
             found = self._search.contours(positions)
@@ -224,7 +225,7 @@ def _heights(
 
 
 class _Lengths:
-    """Passes over the edges of a mesh, some of whose vertices are free."""
+    """Passes over the edges of a mesh that has some free vertices."""
 
     def __init__(self, mesh: ClothMesh, device: str) -> None:
         self._device = device
@@ -242,7 +243,7 @@ class _Lengths:
     ) -> Float[np.ndarray, "vertices 3"]:
         """Return the positions after some passes with these inverse masses.
 
-        Those of 0 keep their bits.
+        Vertices with inverse mass 0 are unchanged to the bit.
         """
         kept = wp.array(positions[None].astype(np.float32), dtype=wp.vec3, device=self._device)
         given = wp.array(masses[None].astype(np.float32), dtype=float, device=self._device)

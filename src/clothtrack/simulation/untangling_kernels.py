@@ -1,4 +1,4 @@
-"""Which vertices are on which side of a line of intersection, by flooding the mesh from it."""
+"""Find the side of an intersection contour on which each vertex lies, by flooding the mesh."""
 
 from typing import no_type_check
 
@@ -20,12 +20,13 @@ def flood(
     queue: wp.array2d(dtype=int),
     labels: wp.array2d(dtype=wp.int8),
 ):
-    """Label each vertex 1 or 2 by which side of a cut it is nearer to, in edges; 0 is not reached.
+    """Label each vertex 1 or 2 by the nearer side of a cut, in edges; 0: not reached.
 
-    A thread is one sheet of one contour: its crossings are those from `first` to the next. The
-    edges in them are cut; their ends above the triangles that they pass through are seeds of 1,
-    those below of 2. `offsets`, `neighbors`, `joining`: the mesh as a graph, the edge to each
-    neighbor. Shapes of the last three: sheets, and edges or vertices.
+    A thread handles one sheet of one contour. Its crossings are those from its `first` to the next
+    thread's. The edges in them are cut. Their ends above the triangles that they pass through are
+    seeds of label 1, those below are seeds of label 2. `offsets`, `neighbors` and `joining` are the
+    mesh as a graph, with the edge to each neighbor. The last three arrays have shape (sheets, edges
+    or vertices).
     """
     sheet = wp.tid()
     end = int(0)

@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper: the full mesh at every observation, from dynamics and point clouds.
 
-Read it beside the paper (arXiv 2302.09502, Sec. III-B). Every function is handed in as part of a
-`Method` (`tracking/protocols.py`). An ablation is another function in its place.
+Read it next to the paper (arXiv 2302.09502, Sec. III-B). Every function is passed in as part of a
+`Method` (`tracking/protocols.py`). An ablation replaces one of them.
 
     paper                          here
     x_t                            state
@@ -12,8 +12,8 @@ Read it beside the paper (arXiv 2302.09502, Sec. III-B). Every function is hande
     a~_t                           the correction as pseudo-action, made by line_search
     TTO2                           align_last
 
-Nothing here can see the truth: the inputs are a recording and the cloth at its first frame.
-`clothtrack.live` calls the same steps while the recording grows.
+This code has no access to the ground truth: its inputs are a recording and the cloth at its first
+frame. `clothtrack.live` calls the same steps while the recording grows.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ from clothtrack.tracking.tracked_trajectory import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """How far an action has been tracked.
+    """Tracking progress of an action.
 
     Attributes:
         state: the cloth now, x_t.
@@ -59,13 +59,13 @@ def track(
         recording: frames, pick-and-places and the paths of the pickers.
         state: the cloth at the first frame.
         theta: its parameters before any calibration.
-        method: the functions that the algorithm is made of.
-        recorder: keeps the chosen candidate of each action.
+        method: the functions of the algorithm.
+        recorder: stores the chosen candidate of each action.
     """
     for action in recording.actions:  # Algorithm 1, line 2
         begin_action(recording.frames[action.first_frame], state, method)
         search = method.calibrate(action, state, theta)
-        for candidate in search:  # Sec. III-B.1; the paper's yields one
+        for candidate in search:  # Sec. III-B.1; the paper's search yields one
             search.tell(
                 track_action(recording, action, state, candidate, method=method, recorder=recorder)
             )
@@ -73,7 +73,7 @@ def track(
 
 
 def begin_action(first: Frame, state: State, method: Method) -> None:
-    """Bind what is seen of the cloth where an action begins."""
+    """Bind feature tracks to the visible cloth at the start of an action."""
     method.anchor(state, method.observe(first))  # not in the paper
 
 
@@ -86,18 +86,18 @@ def end_action(
     method: Method,
     recorder: Recorder,
 ) -> tuple[Theta, State]:
-    """Align the cloth once more where an action ends: line 9.
+    """Align the cloth once more at the end of an action: line 9.
 
     Args:
         recording: frames with their times.
-        best: the candidate that is kept.
+        best: the chosen candidate.
         state: the cloth at the last frame.
         calibration: how the candidate was found.
-        method: TTO2.
-        recorder: keeps it.
+        method: provides TTO2.
+        recorder: stores the result.
 
     Returns:
-        Parameters and state that the next action starts from.
+        The parameters and state that the next action starts from.
     """
     state, losses = aligned_end(recording, best, state, method)
     recorder.keep(best, state, losses, calibration)
@@ -107,13 +107,13 @@ def end_action(
 def aligned_end(
     recording: Recording, best: TrackedCandidate, state: State, method: Method
 ) -> tuple[State, tuple[float, float]]:
-    """Return the cloth at the end of an action after TTO2, and the objective [m^2] around it.
+    """Return the cloth after an action's TTO2, and the objective [m^2] before and after.
 
     Args:
         recording: frames with their times.
-        best: the candidate that is kept.
+        best: the chosen candidate.
         state: the cloth at the last frame.
-        method: TTO2.
+        method: provides TTO2.
     """
     last = recording.frames[best.action.last_frame]
     held = best.candidate.grasps.closed_at(last.time_s)
@@ -136,8 +136,8 @@ def track_action(
         action: the pick-and-place.
         state: the cloth at its first frame.
         candidate: the cloth's parameters, and what the pickers hold.
-        method: the functions that the algorithm is made of.
-        recorder: notes what happens at every frame.
+        method: the functions of the algorithm.
+        recorder: records every frame.
     """
     notes, dyn = recorder.begin(action, candidate), method.dynamics(candidate.theta)
     first, *frames = recording.frames[action.first_frame : action.last_frame + 1]
@@ -156,15 +156,15 @@ def track_frame(
     method: Method,
     notes: CandidateNotes,
 ) -> Tracked:
-    """Track the cloth into the next frame of an action, or leave it where it lies still.
+    """Track the cloth into the next frame of an action, or leave it unchanged if it is at rest.
 
     Args:
         dyn: the dynamics with the candidate's parameters.
-        tracked: the cloth at the frame before.
-        grasps: what the pickers hold, and where they take it.
+        tracked: the cloth at the previous frame.
+        grasps: what the pickers hold, and where they move it.
         frame: the next frame.
-        method: the functions that the algorithm is made of.
-        notes: what happens is noted there.
+        method: the functions of the algorithm.
+        notes: records the frame.
     """
     picker_action = grasps.action(tracked.frame.time_s, frame.time_s)
     if method.at_rest(picker_action, tracked.moved_at, frame):  # not in the paper
@@ -182,10 +182,10 @@ def _corrected(
 
     Args:
         dyn: the dynamics with the candidate's parameters.
-        state: the cloth before, x_t.
-        picker_action: what the pickers do in between, a_t.
-        frame: the frame after, which shows P_{t+1}.
-        method: TTO1 and the line search.
+        state: the cloth at the previous frame, x_t.
+        picker_action: what the pickers do between the frames, a_t.
+        frame: the next frame, which shows P_{t+1}.
+        method: provides TTO1 and the line search.
     """
     predicted = dyn.predict(state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
     correction = method.align(predicted, method.observe(frame))  # TTO1, Sec. III-B.2

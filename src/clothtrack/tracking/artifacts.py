@@ -1,4 +1,4 @@
-"""What an earlier verb has left, found by name: tracked trajectories and their recordings."""
+"""Find results of earlier commands by name: tracked trajectories and their recordings."""
 
 import logging
 from pathlib import Path
@@ -29,13 +29,13 @@ def load_tracked(path: Path) -> "TrackedTrajectory":
 def warn_of_age(
     tracked: "TrackedTrajectory", recording: "Recording", *, artifact: Path, folder: Path
 ) -> None:
-    """Warn when a recording is not what was tracked: corrected since, or another one of its name.
+    """Warn if a recording was changed since it was tracked, or is another one of the same name.
 
     Args:
         tracked: the tracked trajectory.
-        recording: what is taken for its recording.
-        artifact: where the tracked trajectory lies, for people.
-        folder: where the recording lies, for people.
+        recording: the recording that is assumed to belong to it.
+        artifact: path of the tracked trajectory, for the message.
+        folder: path of the recording, for the message.
     """
     from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 
@@ -49,7 +49,7 @@ def warn_of_age(
 
 
 def recording_folder(tracked: "TrackedTrajectory", path: Path) -> Path:
-    """The recording itself, or the one of the trajectory's name in a folder of recordings."""
+    """Return the path if it is a recording, else the recording of this name in that folder."""
     return path if (path / "recording.json").exists() else inside(path, tracked.name)
 
 

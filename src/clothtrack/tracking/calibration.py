@@ -1,9 +1,9 @@
-"""Calibrates theta, action by action: the properties of the cloth, and what the picker holds.
+"""Calibrate theta action by action: the properties of the cloth, and what the picker holds.
 
 `Uncalibrated` yields theta as it is. `OpenLoopCalibration` is the paper's: candidates are rolled
 out without any correction and compared with the last cloud, and the best one is tracked (paper,
-Sec. III-B.1). `TrackingCalibration` is ours: every candidate is tracked to the end of the action,
-corrections included, and judged by its outline. Its scores follow the true error far better.
+Sec. III-B.1). `TrackingCalibration` is ours: every candidate is tracked with corrections to the
+end of the action and scored by its outline. Its scores follow the true error far better.
 """
 
 import logging
@@ -42,24 +42,24 @@ from clothtrack.tracking.tracked_trajectory import Calibration
 logger = logging.getLogger(__name__)
 
 MIN_IMPROVEMENT = 0.1
-"""A candidate is left only for one whose score is lower by this share."""
+"""The search moves to another candidate only if its score is lower by this fraction."""
 
 SCORED_FRAMES = 3
-"""Frames of an action at which the outline is compared, evenly spaced and ending with the last."""
+"""Number of frames at which the outline is compared, evenly spaced and ending with the last."""
 
 Pick = Callable[[PickAndPlace, State, Theta], Grasps]
-"""Return what the pickers take hold of, from where the cloth lies when the action starts."""
+"""Return what the pickers grasp, given the cloth at the start of the action."""
 
 
 class _OneCandidate:
-    """A search that has been decided before anything is tracked.
+    """A search whose candidate is chosen before anything is tracked.
 
     Attributes:
         calibration: the record of how the candidate was found.
     """
 
     def __init__(self, candidate: Candidate, calibration: Calibration) -> None:
-        """Take the candidate, and the record of how it was found."""
+        """Store the candidate, and the record of how it was found."""
         self._candidate, self.calibration = candidate, calibration
         self._tracked: TrackedCandidate | None = None
 
@@ -68,21 +68,21 @@ class _OneCandidate:
         yield self._candidate
 
     def tell(self, tracked: TrackedCandidate) -> None:
-        """Take the tracked candidate."""
+        """Store the tracked candidate."""
         self._tracked = tracked
 
     def result(self) -> tuple[TrackedCandidate, State, Calibration]:
-        """Return it, the state that it ends with, and the record."""
+        """Return the tracked candidate, its final state, and the record."""
         assert self._tracked is not None
         return self._tracked, self._tracked.state, self.calibration
 
 
 @dataclass(frozen=True, eq=False)
 class Uncalibrated:
-    """Keep theta as it is.
+    """No calibration: theta stays as it is.
 
     Attributes:
-        pick: what the pickers hold.
+        pick: returns what the pickers hold.
     """
 
     pick: Pick
@@ -97,11 +97,11 @@ class OpenLoopCalibration:
     """The paper's calibration.
 
     Attributes:
-        pick: what the pickers hold.
-        config: what is searched.
-        score: rolls candidates out.
-        propose: which candidates to try, from the axes and the previous action's theta; grid or
-            coordinate descent by default, as the configuration says.
+        pick: returns what the pickers hold.
+        config: settings of the search.
+        score: rolls candidates out and scores them.
+        propose: proposes candidates from the axes and the previous action's theta; by default
+            grid or coordinate descent, according to the configuration.
     """
 
     pick: Callable[[PickAndPlace, State, Theta], HeldCloth]
@@ -110,7 +110,7 @@ class OpenLoopCalibration:
     propose: Callable[[Axes, Theta], Proposal] | None = None
 
     def __call__(self, action: PickAndPlace, state: State, theta: Theta) -> Search:
-        """Search the parameters of an action; return a search that yields the best one alone."""
+        """Search the parameters of an action; return a search that yields only the best one."""
         held = self.pick(action, state, theta)
         axes = self.config.axes
         if not axes or not _moves(held):
@@ -144,10 +144,10 @@ class TrackingCalibration:
     """Our calibration: every candidate is tracked.
 
     Attributes:
-        pick: what the pickers hold.
-        config: what is searched.
-        score: how badly a tracked candidate fits, from 0; lower is better.
-        combine: where the candidates end together.
+        pick: returns what the pickers hold.
+        config: settings of the search.
+        score: returns the misfit of a tracked candidate, at least 0; lower is better.
+        combine: returns the state that combines the ends of all candidates.
     """
 
     pick: Callable[[PickAndPlace, State, Theta], HeldCloth]
@@ -190,7 +190,7 @@ class _TrackingSearch:
         self._chosen: Values = ()
 
     def __iter__(self) -> Iterator[Candidate]:
-        """Yield candidates; those with the same grasp and cloth as a tracked one share it."""
+        """Yield candidates; one with the grasp and cloth of a tracked one reuses its score."""
         scores = self._scores
         asked = next(self._proposal)
         while True:
@@ -213,7 +213,7 @@ class _TrackingSearch:
         self._tracked[key] = tracked, self._calibration.score(tracked)
 
     def result(self) -> tuple[TrackedCandidate, State, Calibration]:
-        """Return the best candidate, where all of them end together, and the record."""
+        """Return the best candidate, the combined final state, and the record."""
         best, _ = self._tracked[self._keys[self._chosen]]
         tracked, scores = zip(*self._tracked.values(), strict=True)
         ends = [one.positions[-1] for one in tracked]
@@ -229,20 +229,20 @@ class _TrackingSearch:
 
 
 def _moves(held: HeldCloth) -> bool:
-    """Return whether anything is moved: otherwise a roll-out says nothing about the cloth."""
+    """Return whether a picker moves cloth; otherwise a roll-out does not depend on theta."""
     return any(grasp.moves for grasp in held.grasps)
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineGap:
-    """Score a tracked candidate by how badly it covers the cloth in the pictures (0 to 1).
+    """Silhouette misfit between a tracked candidate and the pictures (0 to 1).
 
-    It is measured before TTO2, which would hide at the outline what is wrong inside.
+    It is measured before TTO2, which fits the outline and would hide errors inside it.
 
     Attributes:
         recording: frames of the action.
         mesh: topology.
-        observe: cloud of a frame.
+        observe: returns the cloud of a frame.
         device: "cpu" or "cuda:0".
     """
 
@@ -252,7 +252,7 @@ class OutlineGap:
     device: str = "cpu"
 
     def __call__(self, tracked: TrackedCandidate) -> float:
-        """Return the mean of 1 - IoU over `SCORED_FRAMES` frames; infinite if it diverged."""
+        """Return the mean of 1 - IoU over `SCORED_FRAMES` frames; infinite if tracking diverged."""
         if not np.isfinite(tracked.positions).all():
             return np.inf
         count = len(tracked.positions)

@@ -1,7 +1,7 @@
 """The settings of a tracking run, and the named modes that the tables compare.
 
-A setting is what a user changes or an experiment varies. Everything else is a constant beside its
-use. What a mode changes in the method itself is in `tracking/methods.py`.
+A setting is what a user changes or an experiment varies. Everything else is a constant next to the
+code that uses it. How a mode changes the method itself is in `tracking/methods.py`.
 """
 
 from collections.abc import Mapping
@@ -18,23 +18,23 @@ from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 ModeName = Literal["default", "paper", "open_loop"]
 
 Source = Literal["auto", "template", "network", "flat"]
-"""Where a first mesh may come from."""
+"""Possible sources of the first mesh."""
 
 
 @dataclass(frozen=True)
 class InitialStateConfig(Checked):
-    """Where the first mesh comes from.
+    """Source of the first mesh.
 
     Attributes:
-        source: "template": the recording's own; "network": reconstructed from the first depth
-            picture, whether or not there is a template; "flat": a flat garment fitted to the first
-            cloud, likewise; "auto": the template, else the flat fit of a cloth that lies flat, else
-            the network where there are weights for the garment.
-        template: file of the garment's own mesh, lying flat (`clothtrack garment`), which is fitted
-            to the first cloud in place of a garment of the recording's kind, or given to the
-            network where the source is "network"; empty: none.
+        source: "template": the recording's template; "network": reconstructed from the first depth
+            picture, even if there is a template; "flat": a flat garment fitted to the first
+            cloud, even if there is a template; "auto": the template, else the flat fit if the
+            cloth lies flat, else the network if there are weights for the garment.
+        template: file with the flat mesh of this garment (`clothtrack garment`), which is fitted
+            to the first cloud instead of a generic garment of the recording's kind, or is given to
+            the network if the source is "network"; empty: none.
         weights: file with the network's weights; empty: those that come with the package, if any.
-        vertex_count: about how many vertices the mesh gets.
+        vertex_count: approximate number of mesh vertices.
         refined: whether a network's mesh is fine-tuned to the first cloud.
     """
 
@@ -47,15 +47,15 @@ class InitialStateConfig(Checked):
 
 @dataclass(frozen=True)
 class ClothConfig(Checked):
-    """The cloth before any calibration, and how it is simulated.
+    """Cloth parameters before any calibration, and settings of its simulation.
 
     Attributes:
-        stretch_compliance: how far an edge gives to a pull [m/N]; 0.02 is a knitted cloth. One that
-            cannot stretch cannot shear either: it wrinkles across where the true one lies flat.
-        bend_compliance: how far it gives to bending [m/N], of a mesh with a spacing of 8 mm.
+        stretch_compliance: compliance of an edge in tension [m/N]; 0.02 is a knitted cloth. A cloth
+            that cannot stretch cannot shear either, so it wrinkles where the true one lies flat.
+        bend_compliance: compliance in bending [m/N], for a mesh with a spacing of 8 mm.
         table_friction: Coulomb coefficient of cloth on table.
         particle_friction: Coulomb coefficient of cloth on cloth.
-        thickness_m: distance that layers keep [m]; a vertex rests half of it above the table.
+        thickness_m: distance between layers [m]; a vertex rests half of it above the table.
         area_density: mass per area [kg/m^2].
         substep_s: longest substep [s].
     """
@@ -69,7 +69,7 @@ class ClothConfig(Checked):
     substep_s: Positive = 1.1e-3
 
     def __post_init__(self) -> None:
-        """Refuse values that are not possible.
+        """Reject invalid values.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -91,8 +91,8 @@ class ClothConfig(Checked):
 
         Args:
             table: the plane under the cloth, or None.
-            sleep_speed: speed [m/s] under which supported vertices stand still; nothing sleeps in
-                the default: slow cloth has a way to go, too.
+            sleep_speed: speed [m/s] below which supported vertices stand still. The default is 0,
+                because slow cloth may still move far.
         """
         return SolverConfig(
             thickness_m=self.thickness_m, substep_s=self.substep_s, table=table,
@@ -105,10 +105,10 @@ class ObjectiveConfig(Checked):
     """Weights of the objective of both alignments; every term is a mean of squares [m^2].
 
     Attributes:
-        rigidity_weight: difference of the displacements along edges (the paper: 10).
-        two_way_weight: trusted visible vertex to nearest cloud point; 0 is the paper.
-        length_weight: stretch of edges against the first mesh; 0 is the paper.
-        iterations: most steps of the solver: of Adam in the paper's modes, else of Gauss-Newton.
+        rigidity_weight: difference of the displacements at the two ends of an edge (paper: 10).
+        two_way_weight: distance of trusted visible vertices to the nearest cloud point (paper: 0).
+        length_weight: stretch of edges relative to the first mesh (paper: 0).
+        iterations: maximum solver steps: of Adam in the paper's modes, else of Gauss-Newton.
     """
 
     rigidity_weight: NotNegative = 10.0
@@ -119,18 +119,18 @@ class ObjectiveConfig(Checked):
 
 @dataclass(frozen=True)
 class RunConfig(Checked):
-    """Everything that a tracking run depends on; it is stored with every result.
+    """All settings of a tracking run; they are stored with every result.
 
     Attributes:
         mode: "default", "paper" (the method as published), or "open_loop" (the calibrated dynamics
             alone).
-        seed: stored with the result; nothing in tracking draws random numbers so far.
+        seed: stored with the result; tracking does not draw random numbers so far.
         cloud_spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
-        color: follow points of the cloth in the color pictures, and anchor the mesh to them.
-        initial_state: where the first mesh comes from.
+        color: follow points of the cloth in the color pictures and anchor the mesh to them.
+        initial_state: source of the first mesh.
         cloth: the cloth before any calibration.
         search: calibration of each action.
-        objective: of both alignments.
+        objective: objective of both alignments.
     """
 
     mode: ModeName = "default"
@@ -148,7 +148,7 @@ PAPER_AXES: Mapping[str, tuple[float, ...]] = {
     "table_friction": (0.3, 1.0, 3.0),
     "particle_friction": (0.3, 1.0),
 }
-"""What the paper's modes search: its stiffness and two frictions, extended downwards."""
+"""Search axes of the paper's modes: its stiffness and two frictions, with lower values added."""
 
 
 def _as_published(name: ModeName) -> RunConfig:
@@ -166,15 +166,15 @@ MODES: Mapping[str, RunConfig] = {
     "paper": _as_published("paper"),
     "open_loop": _as_published("open_loop"),
 }
-"""Our default, the paper's method, and the dynamics alone. The paper's ablations are functions that
-`experiments/shared/ablations.py` hands in."""
+"""Our default, the paper's method, and the dynamics alone. `experiments/shared/ablations.py`
+replaces functions for the paper's ablations."""
 
 
 def mode(name: str) -> RunConfig:
     """Return the settings of a named mode.
 
     Raises:
-        InvalidConfigError: with the names that exist.
+        InvalidConfigError: the name is unknown; the message lists the known names.
     """
     if name not in MODES:
         raise InvalidConfigError(f"unknown mode {name!r}; there are {', '.join(MODES)}")

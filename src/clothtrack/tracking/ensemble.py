@@ -1,7 +1,7 @@
-"""The candidates of a search as an ensemble: their spread, and their mean.
+"""Spread and mean of the candidates of a search.
 
-Cloth in contact is chaotic. Candidates that fit the pictures alike end in folds that differ by
-chance, and the mean of their ends is nearer to the truth than the one that fits best.
+Cloth in contact is chaotic. Candidates that fit the pictures equally well end in folds that differ
+by chance, and the mean of their ends is nearer to the truth than the candidate that fits best.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -15,10 +15,10 @@ from clothtrack.tracking.final_alignment import FINAL_STRENGTH, rolled_to
 from clothtrack.tracking.protocols import State, TrackedCandidate
 
 SCORE_SCALE = 0.1
-"""A candidate whose score is worse than the best by this share of it weighs 1 / e."""
+"""A candidate whose score exceeds the best score by this fraction of it has weight 1 / e."""
 
 ROLL_S = 0.1
-"""Time in which the dynamics take the cloth to the mean [s]."""
+"""Duration of the roll-out to the mean [s]."""
 
 
 Combine = Callable[
@@ -26,16 +26,16 @@ Combine = Callable[
 ]
 """Return the state that the final alignment starts from.
 
-The arguments are the best candidate, where each candidate ends [m], and their scores.
+The arguments are the best candidate, the final vertices of each candidate [m], and their scores.
 """
 
 
 def ensemble_spread(
     ends: Iterable[Float[np.ndarray, "vertices 3"]],
 ) -> Float[np.ndarray, " all_or_none"]:
-    """Return the mean distance of each vertex from its mean over several ends [m].
+    """Return the mean distance of each vertex from its mean over several final meshes [m].
 
-    Ends that are not finite are left out; the result is empty when fewer than two are left.
+    Meshes that are not finite are left out; the result is empty if fewer than two remain.
     """
     sound = [end.astype(np.float64) for end in ends if np.isfinite(end).all()]
     if len(sound) < 2:
@@ -46,14 +46,15 @@ def ensemble_spread(
 def mean_end(
     ends: Sequence[Float[np.ndarray, "vertices 3"]], scores: Sequence[float]
 ) -> Float[np.ndarray, "all_or_none 3"]:
-    """Return the mean of several ends [m], weighted by how well each fits.
+    """Return the mean of several final meshes [m], weighted by how well each fits.
 
     Args:
         ends: vertices at the last frame.
-        scores: of each end, lower is better, above 0; one that is not finite weighs nothing.
+        scores: score of each mesh, above 0, lower is better; a score that is not finite has
+            weight 0.
 
     Returns:
-        The mean; empty when fewer than two ends weigh anything.
+        The mean; empty if fewer than two meshes have a weight above 0.
     """
     sound = [number for number, score in enumerate(scores) if np.isfinite(score)]
     if len(sound) < 2:
@@ -66,10 +67,10 @@ def mean_end(
 
 
 class MeanOfCandidates:
-    """Roll the best candidate to the mean of all candidates."""
+    """Roll-out of the best candidate to the mean of all candidates."""
 
     def __init__(self, dynamics: ClothDynamics, name: str) -> None:
-        """Take what rolls the cloth there, and the recording's name for messages."""
+        """Store the dynamics, and the recording's name for messages."""
         self._dynamics, self._name = dynamics, name
 
     def __call__(
@@ -78,7 +79,7 @@ class MeanOfCandidates:
         ends: Sequence[Float[np.ndarray, "vertices 3"]],
         scores: Sequence[float],
     ) -> State:
-        """Return the cloth at rest at the mean; the best candidate's state without a mean."""
+        """Return the cloth at rest at the mean, or the best candidate's state if there is none."""
         target = mean_end(ends, scores)
         if not len(target):
             return best.state

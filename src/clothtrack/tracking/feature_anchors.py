@@ -1,7 +1,7 @@
 """Anchor the mesh with feature tracks of the color pictures.
 
-Points that optical flow follows from picture to picture are bound to the cloth where an action
-begins. From then on they say where these material points are.
+Optical flow follows points from picture to picture. At the start of an action they are bound to the
+cloth; from then on they give the positions of these material points.
 """
 
 import logging
@@ -19,22 +19,22 @@ from clothtrack.tracking.protocols import State
 logger = logging.getLogger(__name__)
 
 NEAR_M = 0.006
-"""A followed point farther from what is seen of the mesh [m] is not bound to it."""
+"""A followed point farther than this [m] from the visible mesh is not bound to it."""
 
 DOUBT_M = 0.02
-"""A followed point that far from its material point [m] counts a quarter (Geman and McClure's
-weight): it is followed wrongly, or bound wrongly."""
+"""A followed point this far from its material point [m] has weight 1/4 (Geman and McClure),
+because it was tracked or bound wrongly."""
 
 _MOST_BOUND = 4096
-"""More points are not remembered; the oldest that are lost are forgotten. Hours of film bind ever
-new ones."""
+"""Maximum number of bound points; beyond it the oldest lost ones are dropped, because hours of
+video keep adding new ones."""
 
 
 class FeatureAnchors:
-    """Binds feature tracks to a cloth, and says where they want its vertices.
+    """Feature tracks bound to a cloth, and the vertex targets that they give.
 
     Attributes:
-        bound: by the number of each point, the triangle and the barycentric weights.
+        bound: the triangle and the barycentric weights of each point, by its number.
     """
 
     def __init__(
@@ -46,17 +46,17 @@ class FeatureAnchors:
 
         Args:
             mesh: the flat first mesh.
-            visible: which vertices some camera sees.
+            visible: returns which vertices some camera sees.
         """
         self._faces, self._visible = mesh.faces, visible
         self.bound: dict[int, tuple[int, np.ndarray]] = {}
 
     def bind(self, state: State, observation: Observation) -> None:
-        """Bind the points that are followed here and not bound yet; lost ones may come back.
+        """Bind the points that are followed here and not yet bound; lost ones may come back.
 
         Args:
             state: the cloth at the first frame of an action.
-            observation: what is seen there.
+            observation: the observation of that frame.
         """
         numbers = observation.followed.numbers
         fresh = np.array([number not in self.bound for number in numbers.tolist()], dtype=bool)
@@ -79,7 +79,7 @@ class FeatureAnchors:
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Marks | None:
-        """Return where the feature tracks want vertices that are here now [m]; None without any."""
+        """Return the targets of vertices at these positions [m]; None without feature tracks."""
         numbers, bound = observation.followed.numbers, self.bound
         known = np.array([number in bound for number in numbers.tolist()], dtype=bool)
         if not known.any():
@@ -89,7 +89,7 @@ class FeatureAnchors:
         weights = np.stack([weights for _, weights in found])
         miss = observation.followed.positions[known] - interpolate(weights, positions[corners])
         trust = 1.0 / (1.0 + (miss**2).sum(axis=1) / DOUBT_M**2) ** 2
-        # A point pulls the corners of its triangle, each by its share, the way that it is off.
+        # A point moves the corners of its triangle by its offset, weighted barycentrically.
         share, count = (trust[:, None] * weights).ravel(), len(positions)
         pull = [np.bincount(corners.ravel(), share * np.repeat(axis, 3), count) for axis in miss.T]
         total = np.bincount(corners.ravel(), share, count)

@@ -1,4 +1,4 @@
-"""TTO2: at the end of an action the mesh is aligned to the cloud once more, and left at rest."""
+"""TTO2: at the end of an action, align the mesh to the cloud once more and leave it at rest."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -21,32 +21,32 @@ from clothtrack.tracking.visible_alignment import VisibleAlignment
 logger = logging.getLogger(__name__)
 
 FINAL_STRENGTH = 1.0 - 1e-5
-"""Strength of the pseudo-action that carries a final alignment out: just below 1, so that contacts,
-stretch and table still win over the observation."""
+"""Strength of the pseudo-action that applies a final alignment: just below 1, so that contacts,
+stretch and table still take precedence over the observation."""
 
 SEEN_MOBILITY = 0.1
-"""Mobility of a visible vertex when the cloth is untangled: it is where it was measured."""
+"""Mobility of a visible vertex during untangling: low, because its position was measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class FinalAlignment:
-    """Slides a cloth that nobody holds to its outline, then aligns its visible vertices.
+    """Final alignment: slide a free cloth to its outline, then align its visible vertices.
 
-    Where the cloth passes through itself it is untangled, before and after.
+    Self-intersections are untangled before and after.
 
     Attributes:
-        recording: its name for messages, and its table.
+        recording: the recording; its name is used in messages, and its table for sliding.
         mesh: the flat first mesh.
         align: aligns visible vertices.
-        dynamics: carries a correction out.
-        slide: slide and turn a free cloth on its table as a whole until its outline fits: nearest
-            points alone hold a slipped cloth where it is.
+        dynamics: applies a correction.
+        slide: slide and turn a free cloth on its table as a rigid body until its outline fits,
+            because nearest points alone would keep a slipped cloth where it is.
         untangle: remove crossings before and after.
-        rounds: how often the alignment is computed and applied; each round starts from what the
-            dynamics made of the last.
-        roll_s: time over which the dynamics carry out a correction [s]: short, so that gravity has
-            no say, but layers keep their sides. 0 displaces the vertices at once, through whatever
-            is in the way (the paper).
+        rounds: how often the alignment is computed and applied; each round starts from the result
+            of the dynamics in the round before.
+        roll_s: time over which the dynamics apply a correction [s]. It is short, so that gravity
+            has little effect but layers keep their sides. 0 displaces the vertices at once,
+            through any obstacle (the paper).
         device: "cpu" or "cuda:0".
     """
 
@@ -71,12 +71,12 @@ class FinalAlignment:
 
         Args:
             state: the cloth at the last frame of an action.
-            theta: its parameters, with which a correction is carried out.
+            theta: its parameters, used to apply a correction.
             observation: the cloud of that frame.
-            held: some picker still holds it: it is not slid.
+            held: whether a picker still holds the cloth; then it is not slid.
 
         Returns:
-            The state, and the objective [m^2] before and after; NaN where there was no cloud.
+            The state, and the objective [m^2] before and after; NaN if there was no cloud.
         """
         self.dynamics.solver.set_parameters(theta.cloth_parameters(self.dynamics.solver.mesh))
         if self.slide and not held:
@@ -107,7 +107,7 @@ class FinalAlignment:
         return self._at_rest(state, moved)
 
     def _corrected(self, state: ClothState, correction: Correction) -> ClothState:
-        """Return the state after a correction, rolled there or displaced at once, at rest."""
+        """Return the state after a correction, rolled out or displaced at once, at rest."""
         targets = state.positions + correction.displacement[None]
         if self.roll_s == 0.0:
             return self._at_rest(state, targets)
@@ -116,9 +116,9 @@ class FinalAlignment:
         return rolled_to(self.dynamics, state, pull, self.roll_s, self.recording.name)
 
     def _untangled(self, state: ClothState) -> ClothState:
-        """Return the state without crossings, as far as they can be undone, at rest.
+        """Return the state with as few crossings as possible, at rest.
 
-        Contact must not remember sides that a crossing had exchanged.
+        Contact pairs of moved vertices are dropped, because a crossing had swapped their sides.
         """
         positions = state.positions[0]
         if not self.untangle or not np.isfinite(positions).all():
@@ -134,7 +134,7 @@ class FinalAlignment:
     def _at_rest(
         self, state: ClothState, vertices: Float[np.ndarray, "*environments vertices 3"]
     ) -> ClothState:
-        """Return the state with its vertices placed here [m], through whatever is in the way."""
+        """Return the state with its vertices placed here [m], through any obstacle, at rest."""
         solver = self.dynamics.solver
         solver.restore(state)
         solver.place(vertices)
@@ -145,14 +145,14 @@ class FinalAlignment:
 def rolled_to(
     dynamics: ClothDynamics, state: ClothState, pull: Attachment, roll_s: float, name: str
 ) -> ClothState:
-    """Pull the cloth to a target by the dynamics, so that layers keep their sides.
+    """Pull the cloth to a target with the dynamics, so that layers keep their sides.
 
     Args:
-        dynamics: with the cloth's parameters.
-        state: where it starts; and where it stays if the roll-out diverges.
-        pull: targets.
-        roll_s: how long it may take [s].
-        name: of the recording, for messages.
+        dynamics: the dynamics with the cloth's parameters.
+        state: the initial state; it is also the result if the roll-out diverges.
+        pull: targets of the vertices.
+        roll_s: duration of the roll-out [s].
+        name: name of the recording, for messages.
     """
     solver = dynamics.solver
     rolled = dynamics.roll_out(state, None, roll_s, pull)
@@ -169,5 +169,5 @@ def no_final_alignment(
     observation: Observation,  # noqa: ARG001
     held: bool,  # noqa: ARG001
 ) -> tuple[State, tuple[float, float]]:
-    """Return the state as it is: the ablation without TTO2."""
+    """Return the state unchanged: the ablation without TTO2."""
     return state, (np.nan, np.nan)

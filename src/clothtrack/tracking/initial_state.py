@@ -1,7 +1,7 @@
 """The initial state of tracking: the recording's template, the flat fit, or the network's mesh.
 
-It is made of the recording alone, never of a truth. PyTorch is imported when the network is used,
-and not before.
+It depends on the recording alone, never on ground truth. PyTorch is imported only when the network
+is used.
 """
 
 import logging
@@ -29,11 +29,11 @@ from clothtrack.tracking.configuration import InitialStateConfig
 logger = logging.getLogger(__name__)
 
 FLAT_MISFIT_M = 0.01
-"""Where outlines disagree more than this (root mean square) [m] the cloth is not flat, or of
-another kind: the network is asked, or a warning given."""
+"""If the outlines differ by more than this (root mean square) [m], the cloth is not flat or is of
+another kind. Then the network is used, or a warning is given."""
 
 LEVEL_DEG = 10.0
-"""The network looks along the world's z: it is not asked about a table that tilts more [deg]."""
+"""Largest table tilt [deg] for which the network is used, because it looks along the world's z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ class InitialState:
 
     Attributes:
         mesh: the flat cloth at rest, in the world [m]: its edges are the rest lengths.
-        positions: where its vertices are at the first frame [m]; None: as in `mesh`.
-        origin: where it is from, stored with the result.
+        positions: its vertices at the first frame [m]; None: as in `mesh`.
+        origin: its source, stored with the result.
     """
 
     mesh: ClothMesh
@@ -64,13 +64,13 @@ def find_initial_state(
     Args:
         recording: template, kind, table, cameras and the first depth picture.
         observation: the cloud of the first frame.
-        config: where it is to come from.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
-        device: where to compute.
+        config: the source of the first mesh.
+        segmenter: finds the cloth in a picture; by default the recording's own method.
+        device: device of the computation.
 
     Raises:
         InvalidRecordingError: the recording lacks what the chosen source needs.
-        InvalidConfigError: the network is asked for and [learn] is not installed.
+        InvalidConfigError: the network is requested and [learn] is not installed.
         InvalidResultError: weights are missing, damaged or for another garment.
     """
     template = recording.cloth.template
@@ -92,7 +92,7 @@ def find_initial_state(
     _refuse_held_vertices(recording, f"initial_state.source is {config.source}")
     weights = None if config.source == "flat" else _weights(recording, config)
     if weights is None or not (config.source == "network" or config.weights):
-        # A cloth that lies flat needs no guess: its outline says where all of it is.
+        # The outline of a flat cloth determines all of it, so no network is needed.
         flat = flat_fit(recording, observation, vertex_count=config.vertex_count)
         lies_flat = flat.misfit_m <= FLAT_MISFIT_M
         if lies_flat or weights is None:
@@ -112,7 +112,7 @@ def find_initial_state(
 def _from_file(
     recording: Recording, observation: Observation, config: InitialStateConfig
 ) -> InitialState:
-    """Return the garment's own mesh, laid flat on the first cloud."""
+    """Return this garment's own mesh, fitted flat to the first cloud."""
     path = Path(config.template)
     _refuse_held_vertices(recording, f"the template is {path}")
     fit = flat_fit(recording, observation, template=config.template)
@@ -176,7 +176,7 @@ def _weights(recording: Recording, config: InitialStateConfig) -> Path | None:
 
 
 def _obstacle(recording: Recording) -> str:
-    """Return why this recording's first frame is nothing for the network; empty when it is."""
+    """Return why the network cannot use this recording's first frame; empty if it can."""
     if recording.cloth.kind not in FITTED_KINDS:
         return f"cloth.kind is {recording.cloth.kind!r}"
     if not recording.frames or not (recording.frames[0].depth or recording.frames[0].cloud):

@@ -1,12 +1,12 @@
-"""How much of a correction the simulation can take (paper, Sec. III-B.3).
+"""Find the largest stable share of a correction (paper, Sec. III-B.3).
 
 A correction that pushes layers into each other makes the simulated cloth diverge. The search rolls
-the dynamics with the whole correction, then with ever smaller parts of it, and accepts the first
-stable roll-out. When none is stable, the pseudo-action is dropped for this frame: that is a
-recorded result, not an error.
+out the dynamics with the whole correction, then with smaller and smaller shares of it, and accepts
+the first stable roll-out. If none is stable, the pseudo-action is dropped for this frame; this is
+recorded and is not an error.
 
-A coarse prediction is not continued from. Where it would stand, the dynamics are rolled again
-without a pseudo-action.
+Tracking never continues from a coarse prediction. If no correction is applied, the dynamics are
+rolled out again without a pseudo-action.
 """
 
 from collections.abc import Callable
@@ -25,22 +25,22 @@ TRIALS = 10
 """Roll-outs before the pseudo-action is dropped; 10 in the paper."""
 
 _EXPLOSION_SPEED = 3.0
-"""A vertex faster than this [m/s] is an explosion. The paper does not state its threshold; 1 m/s
-rejects sound steps."""
+"""A vertex faster than this [m/s] counts as an explosion. The paper does not state its threshold;
+1 m/s rejects valid steps."""
 
 _EXPLOSION_RATIO = 15.0
 """With a fast picker the threshold is this many times the picker's speed."""
 
 _PREDICTION_RATIO = 1.5
-"""The threshold is at least this many times the highest speed of the prediction: what the dynamics
-do by themselves is no explosion."""
+"""The threshold is at least this many times the highest speed of the prediction, because speeds
+without a pseudo-action are not an explosion."""
 
 
 def explosion_threshold(picker_speed: float, predicted_speed: float) -> float:
     """Return the speed [m/s] that counts as an explosion.
 
     Args:
-        picker_speed: of the fastest picker in this frame [m/s].
+        picker_speed: speed of the fastest picker in this frame [m/s].
         predicted_speed: highest speed of a vertex without a pseudo-action [m/s].
     """
     own = _PREDICTION_RATIO * predicted_speed if np.isfinite(predicted_speed) else 0.0
@@ -49,13 +49,14 @@ def explosion_threshold(picker_speed: float, predicted_speed: float) -> float:
 
 @dataclass(frozen=True)
 class PseudoActionSearch:
-    """Rolls the dynamics with the correction as pseudo-action, with ever smaller parts of it.
+    """Line search over roll-outs with smaller and smaller shares of the correction.
 
     Attributes:
         strength: 1 holds attached vertices at their targets ("held", the paper's pseudo-action);
-            less pulls them there inside the solver loop ("soft"), so that contacts, stretch and
-            table win over the observation.
-        threshold: speed that counts as an explosion [m/s], by the speeds of picker and prediction.
+            less than 1 pulls them there inside the solver loop ("soft"), so that contacts, stretch
+            and table take precedence over the observation.
+        threshold: returns the speed that counts as an explosion [m/s], given the speeds of picker
+            and prediction.
     """
 
     strength: float
@@ -69,14 +70,14 @@ class PseudoActionSearch:
         predicted: Prediction,
         correction: Correction | None,
     ) -> Corrected:
-        """Return the first stable roll-out; the dynamics alone without one or a correction.
+        """Return the first stable roll-out, or the dynamics alone if there is none.
 
         Args:
             dyn: the dynamics.
-            state: the cloth before the frame.
-            action: what the pickers do during it.
+            state: the cloth at the previous frame.
+            action: what the pickers do until this frame.
             predicted: the prediction that the correction starts from.
-            correction: what the cloud wants; None leaves the dynamics alone.
+            correction: the correction from the cloud; None uses the dynamics alone.
         """
         if correction is None:
             return Corrected(_alone(dyn, state, action, predicted))
@@ -90,14 +91,14 @@ class PseudoActionSearch:
         return Corrected(_alone(dyn, state, action, predicted), 0.0, TRIALS, gave_up=True)
 
     def _pseudo_action(self, correction: Correction, scale: float) -> Attachment:
-        """Return a~_t: targets of the attached vertices for this part of the correction."""
+        """Return a~_t: targets of the attached vertices for this share of the correction."""
         strength = np.where(correction.attached, self.strength, 0.0).astype(np.float32)
         targets = (correction.start + scale * correction.displacement)[None].astype(np.float32)
         return Attachment(targets, strength[None])
 
 
 def _alone(dyn: Dynamics, state: State, action: PickerAction, predicted: Prediction) -> Prediction:
-    """Return what the dynamics do without a pseudo-action."""
+    """Return the roll-out without a pseudo-action."""
     return predicted if predicted.exact else dyn(state, action)
 
 

@@ -1,4 +1,4 @@
-"""Meshes of one frame after the other, in memory or in a file that has no name."""
+"""Sequence of meshes, one per frame, in memory or in an anonymous file."""
 
 import io
 import tempfile
@@ -9,21 +9,21 @@ import numpy as np
 from jaxtyping import Float32
 
 _AT_ONCE = 64
-"""So many meshes are written at once where one is repeated: an hour of rest is no array."""
+"""Meshes per write when one is repeated, so that an hour of rest needs no large array."""
 
 
 class MeshLog:
-    """Keeps meshes; on a disk, memory stays flat however many there are.
+    """Store of meshes; on disk, it needs constant memory for any number of meshes.
 
-    The file is the system's to choose (`TMPDIR`), and goes with this object.
+    The system chooses the file (`TMPDIR`). It is removed together with this object.
     """
 
     def __init__(self, vertices: int, *, on_disk: bool = False) -> None:
         """Begin without a mesh.
 
         Args:
-            vertices: of every mesh.
-            on_disk: keep them in a file.
+            vertices: number of vertices of every mesh.
+            on_disk: keep the meshes in a file.
         """
         self._shape = (vertices, 3)
         self._on_disk, self._count = on_disk, 0
@@ -33,22 +33,22 @@ class MeshLog:
         weakref.finalize(self, self._file.close)
 
     def __len__(self) -> int:
-        """Return how many meshes there are."""
+        """Return the number of meshes."""
         return self._count
 
     def write(self, first: int, meshes: Float32[np.ndarray, "meshes vertices 3"]) -> None:
-        """Put meshes [m] where others are, from this one on, or behind the last."""
+        """Write meshes [m] from index `first` on; overwrite existing ones or extend the log."""
         values = np.ascontiguousarray(meshes, np.float32)
         self._file.seek(first * self._bytes)
         self._file.write(values.data)
         self._count = max(self._count, first + len(values))
 
     def append(self, mesh: Float32[np.ndarray, "vertices 3"]) -> None:
-        """Put a mesh [m] behind the last."""
+        """Append a mesh [m]."""
         self.write(self._count, np.asarray(mesh, np.float32)[None])
 
     def fill(self, first: int, last: int, mesh: Float32[np.ndarray, "vertices 3"]) -> None:
-        """Put the same mesh [m] into all from `first` to before `last`."""
+        """Write the same mesh [m] at all indices from `first` to before `last`."""
         some = np.repeat(np.asarray(mesh, np.float32)[None], min(_AT_ONCE, last - first), axis=0)
         for start in range(first, last, _AT_ONCE):
             self.write(start, some[: last - start])
@@ -59,7 +59,7 @@ class MeshLog:
         return np.frombuffer(self._file.read(self._bytes), np.float32).reshape(self._shape)
 
     def meshes(self) -> Float32[np.ndarray, "meshes vertices 3"]:
-        """Return all meshes [m]; those of a file are read as they are looked at."""
+        """Return all meshes [m]; those in a file are read when accessed."""
         shape = (self._count, *self._shape)
         if not self._on_disk or not self._count:
             self._file.seek(0)

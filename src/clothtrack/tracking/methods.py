@@ -1,8 +1,8 @@
-"""The named methods: which functions Algorithm 1 is made of.
+"""The named methods: the functions that make up Algorithm 1.
 
-`default` is ours and `paper` is the method as published. Each is written out in full, so that two
-of them can be read side by side. docs/method.md has the reason for every difference and its
-measured effect.
+`default` is ours and `paper` is the method as published. Each is written out in full, so that they
+can be compared side by side. docs/method.md gives the reason for every difference and its measured
+effect.
 """
 
 from collections.abc import Callable, Mapping
@@ -47,43 +47,44 @@ HELD = 1.0
 """Strength of the paper's pseudo-action: visible vertices are placed at their targets."""
 
 PREDICTION_COARSENESS = 2
-"""Substeps of the default's predictions are so many times as long: what is aligned need not be
-exact, since the accepted roll-out is rolled again. It saves a tenth of the time."""
+"""Substeps of the default's predictions are this many times as long. A prediction that is only
+aligned need not be exact, since the accepted roll-out is computed anew. It saves a tenth of the
+time."""
 
 _ANCHOR_WEIGHT = 300.0
-"""A vertex to where feature tracks want it: each of them counts as so many cloud points."""
+"""Weight of a vertex's feature-track target: each track counts as this many cloud points."""
 
 _ICP_TOLERANCE = 0.02
-"""Gauss-Newton ends when two iterations together lower the objective by a smaller share."""
+"""Gauss-Newton ends when two iterations together lower the objective by less than this share."""
 
 FLEX_SLEEP_SPEED = 0.02
 """Supported vertices slower than this [m/s] stand still in the paper's simulator."""
 
 _MIN_OBSERVED = 0.5
-"""Share of the visible vertices of a first mesh that the cloud must be able to contradict for the
-mesh to be aligned to it."""
+"""Minimum share of the first mesh's visible vertices that the cloud must be able to contradict;
+below it, the mesh is not aligned to the cloud."""
 
 _VISIBILITY_WIDTH = 320
-"""Width of the z-buffer that decides visibility [pixels]: its pixels are finer than the
+"""Width of the z-buffer that determines visibility [pixels]; its pixels are finer than the
 mesh's edges."""
 
 VISIBILITY_TOLERANCE_M = 0.003
-"""How far behind the z-buffer's surface a vertex still counts as visible [m]: less than
+"""How far behind the z-buffer's surface a vertex still counts as visible [m]; less than
 the distance of two layers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """What the functions of a method share, for one recording and one cloth.
+    """Components that the functions of a method share, for one recording and one cloth.
 
     Attributes:
-        recording: what was recorded.
-        mesh: the flat cloth in the world [m]; its edges are the rest lengths.
+        recording: the recording.
+        mesh: the flat cloth in the world [m]; its edges give the rest lengths.
         config: the settings.
-        observe: cloud of a frame.
+        observe: returns the cloud of a frame.
         start: vertices at the first frame [m], if the cloth does not lie flat there.
         device: "cpu" or "cuda:0".
-        first_frame: where the state is from that the method begins with.
+        first_frame: index of the frame at which the method begins.
     """
 
     recording: Recording
@@ -96,7 +97,7 @@ class Components:
 
     @cached_property
     def visible(self) -> VisibilityCheck:
-        """Which vertices some camera sees."""
+        """Check of which vertices some camera sees."""
         cameras = tuple(camera.resized(_VISIBILITY_WIDTH) for camera in self.recording.cameras)
         return VisibilityCheck(
             self.mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=self.device
@@ -104,16 +105,16 @@ class Components:
 
     @cached_property
     def search(self) -> SearchConfig:
-        """What is searched, with the uncertainty of the grasp that the recording states."""
+        """Settings of the search, with the grasp uncertainty that the recording states."""
         return self.config.search.with_grasp_offset(self.recording.cloth.grasp_uncertainty_m)
 
     @cached_property
     def anchors(self) -> FeatureAnchors:
-        """Feature tracks that are bound to the cloth."""
+        """Feature tracks bound to the cloth."""
         return FeatureAnchors(self.mesh, self.visible)
 
     def pick(self, action: PickAndPlace, state: ClothState, theta: Theta) -> HeldCloth:
-        """Return what the pickers take hold of."""
+        """Return what the pickers grasp."""
         return pick(action, state, theta, recording=self.recording, mesh=self.mesh)
 
     def simulator(
@@ -135,7 +136,7 @@ class Components:
 
         def with_parameters(theta: Theta) -> Dynamics:
             simulator.solver.set_parameters(theta.cloth_parameters(self.mesh))
-            # Dynamics are only given the states that they made.
+            # These dynamics receive only states that they have produced.
             return cast(Dynamics, simulator)
 
         return with_parameters
@@ -147,8 +148,8 @@ class Components:
 
         Args:
             solver: as in `AlignmentConfig`.
-            icp_tolerance: likewise.
-            attached: what a pseudo-action attaches (`VisibleAlignment`).
+            icp_tolerance: as in `AlignmentConfig`.
+            attached: which vertices a pseudo-action attaches (`VisibleAlignment`).
         """
         alignment = AlignmentConfig(
             **asdict(self.config.objective), solver=solver, icp_tolerance=icp_tolerance,
@@ -162,11 +163,11 @@ class Components:
 
     @property
     def anchor(self) -> Anchor:
-        """What binds feature tracks; nothing where color is switched off."""
+        """Function that binds feature tracks; it does nothing if color is switched off."""
         return self.anchors.bind if self.config.color else no_anchors
 
     def open_loop_calibration(self, *, sleep_speed: float = 0.0) -> Calibrate:
-        """Return the paper's calibration; `sleep_speed` as in `ClothConfig.solver` [m/s]."""
+        """Return the paper's calibration; `sleep_speed` is as in `ClothConfig.solver` [m/s]."""
         config = self.search
         if config.method == "none":
             return Uncalibrated(self.pick)
@@ -181,7 +182,7 @@ class Components:
 
 @dataclass(frozen=True, eq=False)
 class Assembled:
-    """A method that is ready to run.
+    """Method that is ready to run.
 
     Attributes:
         method: its functions.
@@ -267,7 +268,7 @@ def _tracking_calibration(components: Components, simulator: ClothDynamics) -> C
 
 
 def aligned_first(components: Components, method: Method, state: State) -> State:
-    """Return the cloth at the first frame aligned to its cloud, if the cloud shows most of it.
+    """Return the first state aligned to its cloud, if the cloud shows most of the cloth.
 
     The rest lengths stay those of the first mesh.
     """
@@ -276,10 +277,10 @@ def aligned_first(components: Components, method: Method, state: State) -> State
     observation, start_s = components.observe(first), first.time_s
     visible = components.visible(positions)
     observed = visible & ~observation.unobservable(positions.astype(np.float64))
-    # Of a cloth below a cut a cloud shows a hand's breadth: the rest would slide after it.
+    # If the cloth lies below a cut, the cloud shows little of it and the rest would slide there.
     if observed.sum() < _MIN_OBSERVED * visible.sum():
         return state
     held = any(path.closed_at(start_s) for path in recording.picker_paths.values())
-    # A replay with a chosen theta must start alike, whatever was searched or given.
+    # Use the default theta: a replay with a chosen theta must start from the same state.
     theta = RunConfig().cloth.theta()
     return method.align_last(state, theta, observation, held)[0]

@@ -1,4 +1,4 @@
-"""Score parameters by rolling an action out without any correction (paper, Sec. III-B.1)."""
+"""Score parameters by rolling out an action without corrections (paper, Sec. III-B.1)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,23 +21,24 @@ from clothtrack.tracking.protocols import Observe
 from clothtrack.tracking.theta import Theta
 
 BATCH = 36
-"""Most environments in one batch: it bounds the memory of a search, however many candidates."""
+"""Maximum environments in one batch; it bounds the memory of a search with many candidates."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopScore:
-    """Roll batches of candidates through an action and compare them with its last cloud.
+    """Score of candidates that are rolled out in batches and compared with the last cloud.
 
-    Environments do not influence each other, so the width of a batch changes no score. A GPU rolls
-    a wide batch in the time of a narrow one and keeps one solver; a CPU pays for every environment.
+    Environments are independent, so the batch size does not change the scores. A GPU simulates a
+    large batch in the time of a small one and keeps one solver; on a CPU the time grows with every
+    environment.
 
     Attributes:
         recording: frames and their times.
         mesh: the flat cloth.
         solver: settings of the simulator.
-        observe: cloud of a frame.
-        visible: which vertices some camera sees.
-        widest: most candidates that are scored at once.
+        observe: returns the cloud of a frame.
+        visible: returns which vertices some camera sees.
+        widest: maximum number of candidates that are scored at once.
         device: "cpu" or "cuda:0".
     """
 
@@ -83,7 +84,7 @@ class OpenLoopScore:
         return [self._chamfer(each, observation) for each in rolled.positions[: len(thetas)]]
 
     def _dynamics_of(self, candidates: int) -> ClothDynamics:
-        """Return dynamics with room for so many candidates."""
+        """Return dynamics with room for this many candidates."""
         width = candidates if self.device == "cpu" else self.widest
         if width not in self._dynamics:
             solver = ClothSolver(self.mesh, self.solver, environments=width, device=self.device)

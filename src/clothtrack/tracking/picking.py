@@ -1,4 +1,4 @@
-"""Which vertices a picker holds during an action, and where it takes them (the action a_t)."""
+"""Find the vertices that a picker holds during an action, and their path (the action a_t)."""
 
 import logging
 from collections.abc import Mapping
@@ -18,25 +18,25 @@ from clothtrack.tracking.theta import Theta
 logger = logging.getLogger(__name__)
 
 REACH_M = 0.03
-"""Vertices farther from the closing tip than this [m] are not taken hold of. The reference code's
+"""Vertices farther than this [m] from the closing tip are not grasped. The reference code's
 sum of picker radius, threshold and particle radius is 0.02125."""
 
 _COLUMN_M = 0.01
-"""Reach of a tip sideways, in which layers are told apart [m]."""
+"""Horizontal reach of a tip, within which layers are distinguished [m]."""
 
 _KNOTS_PER_FRAME = 5
-"""Waypoints at which the recorded path is read inside one frame; linear between them."""
+"""Waypoints at which the recorded path is sampled inside one frame; linear between them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """One picker's hold during one action.
+    """One picker's grasp during one action.
 
     Attributes:
         picker: the picker's name.
-        path: where its tip was.
+        path: the path of its tip.
         vertices: the vertices it holds while closed.
-        offsets: from the tip to each held vertex [m], world frame.
+        offsets: offset from the tip to each held vertex [m], world frame.
     """
 
     picker: str
@@ -46,13 +46,13 @@ class Grasp:
 
     @property
     def moves(self) -> bool:
-        """Whether the tip goes anywhere at all while it is closed."""
+        """Whether the tip moves while it is closed."""
         return bool(np.ptp(self.path.positions[self.path.closed], axis=0).max() > 1e-3)
 
     def waypoints(
         self, start_s: float, end_s: float, offset: Float[np.ndarray, "*environments 3"]
     ) -> Float[np.ndarray, "*environments knots held 3"]:
-        """Where the held vertices are to be between two times [m], shifted by a grasp offset."""
+        """Return the targets of the held vertices between two times [m], with a grasp offset."""
         times = np.linspace(start_s, end_s, _KNOTS_PER_FRAME)
         tips = np.stack([self.path.position_at(time) for time in times])
         points = tips[:, None] + self.offsets
@@ -65,16 +65,17 @@ def find_grasps(
     cloth: ClothMesh,
     layers: int = 0,
 ) -> tuple[Grasp, ...]:
-    """Decide what each picker of an action holds, from where the cloth lies when it starts.
+    """Decide what each picker of an action holds, given the cloth at its start.
 
-    Vertices named in the recording win; otherwise the one nearest to the tip when it first closes.
+    Vertices named in the recording take precedence; otherwise it is the vertex nearest to the tip
+    when it first closes.
 
     Args:
-        recording: holds the picker paths and, if known, the held vertices.
+        recording: contains the picker paths and, if known, the held vertices.
         action: the pick-and-place.
-        cloth: the mesh where it lies at the action's first frame [m], world frame.
-        layers: hold one vertex of each of so many layers under the tip, counted from above; with 0,
-            or with no cloth right under the tip, the nearest vertex of whatever layer.
+        cloth: the mesh at the action's first frame [m], world frame.
+        layers: hold one vertex of each of this many layers under the tip, counted from above; with
+            0, or with no cloth directly under the tip, hold the nearest vertex of any layer.
     """
     start_s = recording.frames[action.first_frame].time_s
     end_s = recording.frames[action.last_frame].time_s
@@ -106,11 +107,11 @@ def find_grasps(
 
 @dataclass(frozen=True, eq=False)
 class HeldCloth:
-    """What the pickers of one action hold, and where on the cloth they really are.
+    """Grasps of the pickers of one action, and their actual offset.
 
     Attributes:
         grasps: one per picker that holds something.
-        offset: from where a tip was commanded to where it holds the cloth [m].
+        offset: offset from the commanded tip to the actual grasp on the cloth [m].
     """
 
     grasps: tuple[Grasp, ...]
@@ -122,19 +123,19 @@ class HeldCloth:
         return PickerAction(motion, end_s - start_s, picker_speed(self.grasps, start_s, end_s))
 
     def closed_at(self, time_s: float) -> bool:
-        """Return whether any of them holds cloth at this time [s]."""
+        """Return whether any picker holds cloth at this time [s]."""
         return any(grasp.path.closed_at(time_s) for grasp in self.grasps)
 
     def identity(self, theta: Theta) -> tuple[object, ...]:
         """Return a key that is equal for parameters with the same grasp of the same cloth.
 
-        Where one layer lies under the tip, there is no second one to hold.
+        With one layer under the tip, for example, holding more layers changes nothing.
         """
         return tuple(self.held_vertices.values()), replace(theta, held_layers=0)
 
     @property
     def held_vertices(self) -> dict[str, tuple[int, ...]]:
-        """The vertices each picker holds, by its name."""
+        """The vertices that each picker holds, by its name."""
         return {grasp.picker: tuple(grasp.vertices.tolist()) for grasp in self.grasps}
 
 
@@ -146,13 +147,13 @@ def pick(
     recording: Recording,
     mesh: ClothMesh,
 ) -> HeldCloth:
-    """Return what the pickers of an action take hold of, from where the cloth lies at its start.
+    """Return what the pickers of an action grasp, given the cloth at its start.
 
     Args:
         action: the pick-and-place.
         state: the cloth at its first frame.
-        theta: how many layers are held, and the grasp's offset.
-        recording: holds the picker paths and, if known, the held vertices.
+        theta: number of held layers, and the grasp's offset.
+        recording: contains the picker paths and, if known, the held vertices.
         mesh: the cloth's topology.
     """
     cloth = mesh.with_vertices(state.positions[0].astype(np.float64))
@@ -162,24 +163,24 @@ def pick(
 
 @dataclass(frozen=True, eq=False)
 class StillCloth(HeldCloth):
-    """The same grasps without their motion: the ablation without action conditioning."""
+    """Grasps without their motion: the ablation without action conditioning."""
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
-        """Return no motion, for the same time and at the same speed."""
+        """Return an action without motion, with the same duration and picker speed."""
         return replace(super().action(start_s, end_s), motion=None)
 
 
 def layers_under(
     cloth: ClothMesh, tip: Float[np.ndarray, " 3"], radius_m: float
 ) -> Int[np.ndarray, " layers"]:
-    """The vertex nearest to a tip in each layer of cloth under it, the uppermost layer first.
+    """Return the vertex nearest to a tip in each layer of cloth under it, from top to bottom.
 
-    A layer is a part of the mesh that hangs together inside the column under the tip.
+    A layer is a connected component of the mesh inside the column under the tip.
 
     Args:
-        cloth: the mesh where it lies [m], world frame, z up.
+        cloth: the mesh [m], world frame, z up.
         tip: the tip of the picker [m].
-        radius_m: vertices farther from the tip than this [m] are not taken hold of.
+        radius_m: vertices farther than this [m] from the tip are not grasped.
     """
     aside = np.linalg.norm(cloth.vertices[:, :2] - tip[:2], axis=1)
     spacing_m = float(np.median(cloth.edge_lengths))
@@ -204,7 +205,7 @@ def held_motion(
     end_s: float,
     offset: Float[np.ndarray, "*environments 3"],
 ) -> HeldMotion | None:
-    """Return what the closed pickers do between two frames; None when none of them is closed."""
+    """Return the motion of closed pickers between two frames; None if no picker is closed."""
     closed = [grasp for grasp in grasps if grasp.path.closed_at(0.5 * (start_s + end_s))]
     if not closed:
         return None
@@ -217,7 +218,7 @@ def held_motion(
 
 
 def picker_speed(grasps: tuple[Grasp, ...], start_s: float, end_s: float) -> float:
-    """Return speed of the fastest closed picker between two frames [m/s]."""
+    """Return the speed of the fastest closed picker between two frames [m/s]."""
     speeds = [
         np.linalg.norm(grasp.path.position_at(end_s) - grasp.path.position_at(start_s))
         for grasp in grasps

@@ -1,4 +1,4 @@
-"""From recordings to tracked trajectories: the method over a data set, in a straight line."""
+"""Run the method over a data set: from recordings to tracked trajectories."""
 
 import hashlib
 import json
@@ -45,15 +45,15 @@ from clothtrack.tracking.tracker import Tracker
 logger = logging.getLogger(__name__)
 
 _CLOUDS_KEPT = 256
-"""Most clouds in memory, however long a recording is: some 100 MB with pictures of 640 x 480. What
-is needed again and is not among them is read and segmented once more."""
+"""Maximum number of clouds in memory, about 100 MB with pictures of 640 x 480. Other clouds are
+read and segmented again when they are needed."""
 
 Judge = Callable[..., Mapping[str, Any]]
-"""Return what to do with a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
-device=, frames=)`. It is handed in because tracking knows nothing of its evaluation."""
+"""Return the verdict on a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
+device=, frames=)`. It is passed in because tracking does not depend on evaluation."""
 
 Look = Callable[[Frame, Sequence[CameraView]], None]
-"""Is shown what the cameras saw in a frame, when it has been decoded and segmented."""
+"""Called with the camera views of a frame after they have been decoded and segmented."""
 
 _PARTS = tuple(part.name for part in fields(Method))
 """The functions of Algorithm 1 that a caller may replace (`tracking.protocols.Method`)."""
@@ -61,14 +61,14 @@ _PARTS = tuple(part.name for part in fields(Method))
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one recording.
+    """Outcome of tracking one recording.
 
     Attributes:
         recording: its folder.
         result: the tracked trajectory on disk, or None after an error.
-        skipped: it had been finished before.
-        error: what was wrong with it, in a line that names it.
-        tracked_again: it had been finished before, but the recording has changed since.
+        skipped: whether it had been finished before.
+        error: the error in one line that names the recording.
+        tracked_again: whether it had been finished before, but the recording has changed since.
     """
 
     recording: Path
@@ -88,19 +88,19 @@ def observer(
     kept: int = _CLOUDS_KEPT,
     followed: int | None = None,
 ) -> Callable[[Frame], Observation]:
-    """Return the clouds of a recording, those of the latest frames kept.
+    """Return a function that gives the cloud of a frame and caches those of the latest frames.
 
-    A search follows one action several times and would segment every picture of it each time, and
-    what is tracked is judged by the same clouds.
+    A search tracks one action several times and would segment every picture of it each time. The
+    verdict on the trajectory also uses the same clouds.
 
     Args:
-        recording: read and validated.
+        recording: a validated recording.
         spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
-        segmenter: finds the cloth in a picture; the recording's masks or colors by default.
-        color: follow points of the cloth in the pictures, too.
-        look: is shown the pictures of every frame that is looked at.
-        kept: clouds of so many frames stay in memory.
-        followed: followed points of so many frames do; all by default.
+        segmenter: finds the cloth in a picture; by default the recording's masks or colors.
+        color: also follow points of the cloth in the pictures.
+        look: called with the pictures of every frame that is read.
+        kept: number of frames whose clouds stay in memory.
+        followed: number of frames whose followed points stay in memory; all by default.
     """
     follower = PointFollower(recording, segmenter, kept=followed) if color else None
 
@@ -132,24 +132,24 @@ def track_recording(
     watch: Watch | None = None,
     judge: Judge | None = None,
 ) -> TrackedTrajectory:
-    """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
+    """Track a recording: clouds, first mesh, calibration and tracking (Fig. 2 of the paper).
 
     Args:
-        recording: read and validated.
+        recording: a validated recording.
         config: the whole configuration.
         device: "cpu" or "cuda:0".
-        segmenter: finds the cloth in a picture; the recording's masks or colors by default.
+        segmenter: finds the cloth in a picture; by default the recording's masks or colors.
         progress: called after every frame.
         parts: replacements for functions of Algorithm 1, by their names in `_PARTS`.
-        assemble: makes the method; that of `config.mode` by default.
-        force: track although the first mesh lies beside its cloud.
-        watch: is shown every mesh.
-        judge: says what to do with the trajectory; nobody by default.
+        assemble: builds the method; by default that of `config.mode`.
+        force: track even if the first mesh is far from its cloud or units are wrong.
+        watch: called with every mesh.
+        judge: returns the verdict on the trajectory; none by default.
 
     Raises:
         InvalidConfigError: Algorithm 1 has no function of that name.
-        InvalidRecordingError: the first mesh lies beside its cloud or times are in another unit
-            than seconds, and `force` is not set.
+        InvalidRecordingError: the first mesh is far from its cloud, or times or depths are not in
+            the stated units, and `force` is not set.
     """
     for name in (parts := parts or {}):
         if name not in _PARTS:
@@ -189,7 +189,7 @@ def track_recording(
     tracked = replace(tracked, config=asdict(config), provenance=stamp)
     if judge is None:
         return tracked
-    # A recording is held against itself as anybody would look at it.
+    # The verdict uses the recording with the default segmentation and cloud spacing.
     as_usual = segmenter is None and config.cloud_spacing_m == SPACING_M
     frames = ObservedFrames(recording, cloud if as_usual else None, reducer)
     verdict = judge(tracked, recording, segmenter=segmenter, device=device, frames=frames)
@@ -205,18 +205,18 @@ def checked_initial_state(
     device: str = "cpu",
     force: bool = False,
 ) -> tuple[InitialState, float | None]:
-    """Return the cloth that tracking starts from, and how far from its cloud it lies (rms) [m].
+    """Return the cloth that tracking starts from, and its distance from its cloud (rms) [m].
 
     Args:
         recording: as for `find_initial_state`.
-        observation: likewise.
-        config: likewise.
-        segmenter: likewise.
-        device: likewise.
-        force: take a mesh that lies beside its cloud, too.
+        observation: as for `find_initial_state`.
+        config: as for `find_initial_state`.
+        segmenter: as for `find_initial_state`.
+        device: as for `find_initial_state`.
+        force: also accept a mesh that is far from its cloud.
 
     Raises:
-        InvalidRecordingError: the mesh lies beside its cloud, and `force` is not set; and as for
+        InvalidRecordingError: the mesh is far from its cloud, and `force` is not set; and as for
             `find_initial_state`.
     """
     first = find_initial_state(recording, observation, config, segmenter=segmenter, device=device)
@@ -227,9 +227,9 @@ def checked_initial_state(
 
 
 def _refuse_wrong_units(recording: Recording) -> None:
-    """Refuse times in another unit than seconds, and depth in another than is stated.
+    """Reject times that are not in seconds, and depths that are not in the stated unit.
 
-    Simulating a minute per frame takes hours, and so do the points of a cloth of four meters.
+    Simulating a minute per frame would take hours, and so would the points of a cloth of 4 m.
     """
     for finding in time_findings(recording):
         if finding.kind == "clock_unit" and finding.correction is not None:
@@ -245,7 +245,7 @@ def _refuse_wrong_units(recording: Recording) -> None:
 
 
 def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:
-    """Return how far the first mesh lies from its cloud (rms) [m]; None if unknown."""
+    """Return the distance of the first mesh from its cloud (rms) [m]; None if unknown."""
     vertices = first.mesh.vertices if first.positions is None else first.positions
     return mesh_gap_m(vertices, first.mesh.faces, observation, device=device)
 
@@ -253,7 +253,7 @@ def _first_gap_m(first: InitialState, observation: Observation, device: str) -> 
 def _far_first_mesh(
     recording: Recording, first: InitialState, gap_m: float
 ) -> InvalidRecordingError:
-    """Return why tracking stops: the distance, and the likely cause."""
+    """Return the error for a first mesh far from its cloud, with distance and likely cause."""
     causes = check_geometry(recording)
     cause = causes[0].text if causes else "is its kind, its size or the mask another"
     return InvalidRecordingError(
@@ -276,29 +276,29 @@ def track_recordings(
     judge: Judge | None = None,
     ray: str = "",
 ) -> list[Outcome]:
-    """Track many recordings; finished ones are skipped, a bad one does not stop the others.
+    """Track many recordings; skip finished ones, and continue after an error in one of them.
 
-    A finished one whose recording has changed since is tracked again.
+    A finished recording that has changed since is tracked again.
 
     Args:
         recordings: recording folders.
         output: folder that gets one `NAME.zarr` per recording.
         config: the whole configuration.
-        workers: processes; each tracks one recording at a time.
+        workers: number of processes; each tracks one recording at a time.
         device: "cpu" or "cuda:0".
         progress: called after every frame (with one worker) or every recording; counts all.
-        force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
-        watch: is shown every mesh; needs one worker.
-        judge: says what to do with each trajectory; nobody by default.
-        ray: address of Ray, which is to do it; worker processes by default.
+        force: track even if a first mesh is far from its cloud; otherwise its outcome is an error.
+        watch: called with every mesh; needs one worker.
+        judge: returns the verdict on each trajectory; none by default.
+        ray: address of Ray, which then runs the work; worker processes by default.
 
     Returns:
         One outcome per recording, in the given order.
 
     Raises:
-        InvalidConfigError: there are no workers, or several or others' while somebody watches, or
-            two recordings have one name, or a name is none for a file, or another run writes to
-            `output`.
+        InvalidConfigError: there are no workers; or `watch` is used with several workers or Ray; or
+            two recordings have the same name; or a name cannot be a file name; or another run
+            writes to `output`.
         ClothTrackError: a worker died.
     """
     require_workers(workers)
@@ -344,9 +344,9 @@ def _outcome(attempt: Attempt[Path, Outcome]) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tracking:
-    """Track a folder, as `clothtrack.files.many_items.Work`.
+    """Tracking of a folder, as `clothtrack.files.many_items.Work`.
 
-    Progress is told from here where everything is tracked in one process.
+    It reports progress itself if everything is tracked in one process.
     """
 
     output: Path
@@ -359,15 +359,15 @@ class _Tracking:
     folders: Sequence[Path] = ()
 
     def name(self, folder: Path) -> str:
-        """Return what the recording, and so its result, is called."""
+        """Return the name of the recording and of its result."""
         return folder.resolve().name
 
     def paths(self, folder: Path) -> list[Path]:
-        """Return the tracked trajectory."""
+        """Return the path of the tracked trajectory."""
         return [result_path(folder, self.output)]
 
     def kept(self, folder: Path) -> Outcome | None:
-        """Return what was tracked before, from the same files with the same settings."""
+        """Return an earlier outcome from the same files with the same settings, or None."""
         path = result_path(folder, self.output)
         earlier = self._earlier(path)
         if earlier is None or earlier.get(DIGEST_FIELD) != recording_digest(read_recording(folder)):
@@ -390,7 +390,7 @@ class _Tracking:
         return Outcome(folder, path, tracked_again=again)
 
     def _earlier(self, path: Path) -> Mapping[str, Any] | None:
-        """Return what an earlier result says of itself; one with other settings is refused."""
+        """Return the provenance of an earlier result; reject one with other settings."""
         if not path.exists():
             return None
         earlier = TrackedTrajectory.load(path).provenance
@@ -399,7 +399,7 @@ class _Tracking:
 
 
 def result_path(recording: Path, output: Path) -> Path:
-    """Return where the tracked trajectory of a recording lies."""
+    """Return the path of a recording's tracked trajectory."""
     return output / f"{recording.resolve().name}.zarr"
 
 
@@ -419,7 +419,7 @@ def config_hash(config: RunConfig) -> str:
 
 
 def counted_settings(config: RunConfig) -> dict[str, Any]:
-    """Return the settings that a kept result is known by: files by what is in them."""
+    """Return the settings that identify a stored result; files count by their content."""
     settings = asdict(config)
     first = settings["initial_state"]
     for name in ("weights", "template"):
@@ -430,7 +430,7 @@ def counted_settings(config: RunConfig) -> dict[str, Any]:
 
 
 def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:
-    """Return what one needs to make a result again: versions, commit, seed, device, source."""
+    """Return what is needed to reproduce a result: versions, commit, seed, device, source."""
     packages = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "zarr")
     return {
         **made_with(packages),

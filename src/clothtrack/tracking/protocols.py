@@ -1,7 +1,7 @@
-"""The interfaces of Algorithm 1: what it asks of each of the functions that it is made of.
+"""The interfaces of the functions that make up Algorithm 1.
 
-`clothtrack.tracking.methods` assembles them to a `Method`; docs/extending.md shows how to hand in
-one of your own.
+`clothtrack.tracking.methods` assembles them into a `Method`; docs/extending.md shows how to pass in
+your own.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -22,7 +22,7 @@ from clothtrack.tracking.tracked_trajectory import Calibration, StepRecords
 
 @runtime_checkable
 class State(Protocol):
-    """The cloth at one time, x_t: whatever the dynamics continue from."""
+    """The cloth at one time, x_t, from which the dynamics continue."""
 
     @property
     def positions(self) -> Float[np.ndarray, "environments vertices 3"]:
@@ -56,7 +56,7 @@ class Prediction(Protocol):
 
     @property
     def exact(self) -> bool:
-        """Whether the state may be continued from; a coarse prediction is only aligned."""
+        """Whether tracking may continue from this state; a coarse prediction is only aligned."""
         ...
 
 
@@ -70,20 +70,20 @@ class Dynamics(Protocol):
         """Roll the cloth out for the duration of an action.
 
         Args:
-            state: the cloth before.
+            state: the cloth at the start.
             action: what the pickers do.
             pseudo_action: targets of observed vertices at the end.
         """
         ...
 
     def predict(self, state: State, action: PickerAction) -> Prediction:
-        """Return x'_{t+1} = dyn(x_t, a_t) for the alignment, coarse if that is faster."""
+        """Return x'_{t+1} = dyn(x_t, a_t) for the alignment; it may be coarse for speed."""
         ...
 
 
 @runtime_checkable
 class Grasps(Protocol):
-    """What the pickers of an action hold."""
+    """Grasps of the pickers during an action."""
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
         """Return a_t: what the pickers do between two times [s]."""
@@ -118,14 +118,14 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class TrackedCandidate:
-    """One action, tracked to its last frame with one candidate, before TTO2.
+    """One action that was tracked to its last frame with one candidate, before TTO2.
 
     Attributes:
         action: the pick-and-place.
         candidate: parameters and grasps.
         positions: vertices [m] at every frame after the action's first.
         state: the cloth at the last frame.
-        records: what happened at each frame; those outside the action are empty.
+        records: record of each frame; those outside the action are empty.
     """
 
     action: PickAndPlace
@@ -137,9 +137,9 @@ class TrackedCandidate:
 
 @runtime_checkable
 class Search(Protocol):
-    """The calibration of one action (paper, Sec. III-B.1), by ask and tell.
+    """The calibration of one action (paper, Sec. III-B.1), as an ask-and-tell interface.
 
-    Iterating yields the candidates that are to be tracked; each is told before the next is asked.
+    Iteration yields the candidates to track; each is passed to `tell` before the next is yielded.
     """
 
     def __iter__(self) -> Iterator[Candidate]:
@@ -147,7 +147,7 @@ class Search(Protocol):
         ...
 
     def tell(self, tracked: TrackedCandidate) -> None:
-        """Take the tracked candidate that was yielded last."""
+        """Receive the tracked candidate that was yielded last."""
         ...
 
     def result(self) -> tuple[TrackedCandidate, State, Calibration]:
@@ -157,11 +157,11 @@ class Search(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the cloud says about a predicted mesh: delta x_corr (paper, Sec. III-B.2).
+    """Correction of a predicted mesh by the cloud: delta x_corr (paper, Sec. III-B.2).
 
     Attributes:
         start: vertices that the alignment started from [m].
-        displacement: from there to where the cloud wants them [m].
+        displacement: displacement from there to the aligned vertices [m].
         attached: vertices that a pseudo-action attaches.
         losses: objective [m^2] before and after.
     """
@@ -177,11 +177,11 @@ class Corrected:
     """The cloth after one frame.
 
     Attributes:
-        prediction: the roll-out that was accepted.
-        scale: share of the correction that was applied; NaN without a correction, 0 when the line
+        prediction: the accepted roll-out.
+        scale: share of the correction that was applied; NaN without a correction, 0 if the line
             search gave up.
-        trials: roll-outs spent on it.
-        gave_up: no share of the correction was stable; the prediction stands.
+        trials: number of roll-outs tried.
+        gave_up: whether no share of the correction was stable; then the prediction is kept.
     """
 
     prediction: Prediction
@@ -199,43 +199,43 @@ Observe = Callable[[Frame], Observation]
 """Return the point cloud P_t of a frame."""
 
 Align = Callable[[Prediction, Observation], Correction | None]
-"""TTO1: return how a predicted mesh has to move to meet the cloud; None keeps the prediction."""
+"""TTO1: return the correction of a predicted mesh to the cloud; None keeps the prediction."""
 
 LineSearch = Callable[[Dynamics, State, PickerAction, Prediction, Correction | None], Corrected]
-"""Roll the dynamics again with as much of the correction as they can take."""
+"""Roll out the dynamics again with the largest stable share of the correction."""
 
 AlignLast = Callable[[State, Theta, Observation, bool], tuple[State, tuple[float, float]]]
 """TTO2: return the cloth at the end of an action, at rest, and the objective [m^2] before and after
-(NaN where nothing was aligned). The last argument says whether a picker still holds it."""
+(NaN if nothing was aligned). The last argument says whether a picker still holds it."""
 
 Calibrate = Callable[[PickAndPlace, State, Theta], Search]
 """Begin the search for the parameters of an action; theta is the previous action's."""
 
 AtRest = Callable[[PickerAction, Frame, Frame], bool]
-"""Return whether no picker holds the cloth and it lies in the second frame as it lay in the first,
-so that the mesh stays as it is (not in the paper)."""
+"""Return whether no picker holds the cloth and it did not move between the two frames, so that the
+mesh stays as it is (not in the paper)."""
 
 Anchor = Callable[[State, Observation], None]
-"""Bind the feature tracks that are seen in the pictures to material points (not in the paper)."""
+"""Bind the visible feature tracks to material points (not in the paper)."""
 
 Watch = Callable[[Recording, ClothMesh, Frame, Float[np.ndarray, "vertices 3"]], None]
 """Called with each mesh [m] as soon as it is known: the first one, those of every candidate frame
-by frame, and the one that the chosen candidate ends with."""
+by frame, and the final one of the chosen candidate."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """The functions that Algorithm 1 is made of; an ablation replaces one.
+    """The functions of Algorithm 1; an ablation replaces one.
 
     Attributes:
-        observe: point cloud of a frame.
-        calibrate: search for the parameters of an action.
-        dynamics: dyn, given theta.
+        observe: returns the point cloud of a frame.
+        calibrate: searches the parameters of an action.
+        dynamics: returns dyn, given theta.
         align: TTO1.
-        line_search: roll-out with the pseudo-action.
+        line_search: rolls out the dynamics with the pseudo-action.
         align_last: TTO2.
-        anchor: feature tracks to material points, at the start of every action.
-        at_rest: whether the cloth lies still.
+        anchor: binds feature tracks to material points at the start of every action.
+        at_rest: returns whether the cloth is at rest.
     """
 
     observe: Observe

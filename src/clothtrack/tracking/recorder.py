@@ -1,4 +1,4 @@
-"""Records what Algorithm 1 does: positions, losses and CPU times of the chosen candidates."""
+"""Record the positions, losses and CPU times of the chosen candidates of Algorithm 1."""
 
 import time
 from collections.abc import Callable
@@ -35,13 +35,13 @@ from clothtrack.tracking.tracked_trajectory import (
 )
 
 _ON_DISK = np.zeros((0, 3), np.float32)
-"""Stands for meshes of an action until the trajectory is asked for."""
+"""Placeholder for the meshes of an action until the trajectory is requested."""
 
 Visible = Callable[[Float[np.ndarray, "vertices 3"]], Bool[np.ndarray, " vertices"]]
 
 
 class Recorder:
-    """Collects one trajectory."""
+    """Recorder of one trajectory."""
 
     def __init__(
         self,
@@ -55,17 +55,17 @@ class Recorder:
         candidates: int = 1,
         on_disk: bool = False,
     ) -> None:
-        """Begin a trajectory that stays where it starts.
+        """Begin a trajectory in which every frame has the first mesh.
 
         Args:
-            recording: what is tracked.
+            recording: the recording that is tracked.
             mesh: the flat cloth at rest.
             state: the cloth at the first frame.
-            visible: which vertices some camera sees.
+            visible: returns which vertices some camera sees.
             progress: called after every frame.
             watch: called with the first mesh now, and with every later one.
-            candidates: to expect for each action, for the progress.
-            on_disk: keep meshes in a file and not in memory (`MeshLog`).
+            candidates: expected candidates per action, for the progress.
+            on_disk: keep meshes in a file instead of memory (`MeshLog`).
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
         self._progress, self._expected, self._begun = progress, candidates, 0
@@ -75,7 +75,7 @@ class Recorder:
         self._records = StepRecords.empty(0)
         self._reach(len(recording.frames))
         self._actions: list[TrackedAction] = []
-        # Of each action the mesh before its final alignment and the one after it.
+        # Two meshes per action: before and after its final alignment.
         self._ends = MeshLog(mesh.vertex_count, on_disk=on_disk)
         self._watch, self._clocks = watch, Clocks()
         self._show(recording.frames[0], np.asarray(state.positions[0], np.float32))
@@ -99,7 +99,7 @@ class Recorder:
     def _tell(
         self, action: PickAndPlace, frame: Frame, positions: Float[np.ndarray, "vertices 3"]
     ) -> None:
-        """Show the mesh, and report the frame, candidate and action that are done."""
+        """Pass the mesh to `watch`, and report the finished frame, candidate and action."""
         self._show(frame, positions)
         if self._progress is None:
             return
@@ -118,7 +118,7 @@ class Recorder:
         )
 
     def _reach(self, count: int) -> None:
-        """Make room for so many frames: a live recording grows. The mesh stays where it is."""
+        """Extend to this many frames with the newest mesh, because a live recording grows."""
         self._meshes.fill(len(self._meshes), count, self._meshes.newest())
         known, self._records = self._records, StepRecords.empty(count)
         self._records.adopt(known, slice(0, len(known.trials)))
@@ -133,16 +133,16 @@ class Recorder:
         again: int | None = None,
         until: int | None = None,
     ) -> None:
-        """Keep the chosen candidate of an action with its final alignment.
+        """Store the chosen candidate of an action with its final alignment.
 
         Args:
             best: the candidate.
-            state: the cloth after TTO2; the frames that follow start from there.
+            state: the cloth after TTO2; the following frames start from there.
             losses: objective of TTO2 [m^2], before and after.
             calibration: the candidates that were tried.
-            again: number of an action that was kept before, from 0; None: the next action.
-            until: the first frame after the action that does not show the cloth as it left it;
-                None: there is none.
+            again: number of an action that was stored before, from 0; None: the next action.
+            until: the first frame after the action in which the cloth has moved; None: there is
+                none.
         """
         self._reach(len(self._recording.frames))
         number = len(self._actions) if again is None else again
@@ -169,14 +169,14 @@ class Recorder:
             self._show(self._recording.frames[action.last_frame], end)
 
     def begin_anew(self, frame: Frame, state: State) -> None:
-        """Keep another state of the cloth from a frame on, in which nothing moved it there."""
+        """Store a new state of the cloth from a frame on, without an action that led to it."""
         mesh = np.asarray(state.positions[0], np.float32)
         self._reach(len(self._recording.frames))
         self._meshes.fill(frame.index, len(self._meshes), mesh)
         self._show(frame, mesh)
 
     def trajectory(self) -> TrackedTrajectory:
-        """Return everything that was kept."""
+        """Return everything that was stored."""
         frames = self._recording.frames
         self._reach(len(frames))
         positions, ends = self._meshes.meshes(), np.array(self._ends.meshes())
@@ -201,7 +201,7 @@ class Recorder:
     def _seen(
         self, positions: Float[np.ndarray, "frames vertices 3"]
     ) -> Bool[np.ndarray, "frames vertices"]:
-        """Return which vertices some camera sees; a mesh that rests is looked at once."""
+        """Return which vertices some camera sees; check repeated meshes only once."""
         seen = np.zeros(positions.shape[:2], bool)
         for frame, mesh in enumerate(positions):
             rests = frame > 0 and np.array_equal(mesh, positions[frame - 1])
@@ -210,7 +210,7 @@ class Recorder:
 
 
 class CandidateNotes:
-    """What happens while one candidate is tracked."""
+    """Records of tracking one candidate."""
 
     def __init__(
         self,
@@ -235,7 +235,7 @@ class CandidateNotes:
         correction: Correction | None,
         corrected: Corrected,
     ) -> None:
-        """Note what happened at one frame."""
+        """Record one frame."""
         clocks = self._clocks
         step: dict[str, float | bool] = {
             "predict_s": clocks.predict_s,
@@ -256,7 +256,7 @@ class CandidateNotes:
         self._note(frame, corrected.state)
 
     def spent_s(self, frame: Frame) -> dict[str, float]:
-        """Return the CPU time of each part of a frame [s], by its name; empty where it rests."""
+        """Return the CPU time of each part of a frame [s], by its name; empty at rest."""
         if not self._steps or self._steps[-1][0] != frame.index:
             return {}
         step = self._steps[-1][1]
@@ -264,7 +264,7 @@ class CandidateNotes:
         return {short: float(step[name]) for name, short in names.items() if name in step}
 
     def rest(self, frame: Frame, state: State) -> None:
-        """Note that the mesh stays as it is at one frame."""
+        """Record that the mesh stays unchanged at one frame."""
         self._clocks.reset()
         self._note(frame, state)
 
@@ -274,7 +274,7 @@ class CandidateNotes:
         self._tell(self._action, frame, positions)
 
     def finished(self, state: State) -> TrackedCandidate:
-        """Return the tracked candidate with the state that it ends with."""
+        """Return the tracked candidate with its final state."""
         records = StepRecords.empty(len(self._recording.frames))
         for at, step in self._steps:
             for name, value in step.items():
@@ -285,12 +285,12 @@ class CandidateNotes:
 
 
 class Clocks:
-    """CPU time [s] since the last reset.
+    """CPU times [s] since the last reset.
 
     Attributes:
-        predict_s: of predictions.
-        align_s: of TTO1 with its visibility.
-        correct_s: of the line search.
+        predict_s: CPU time of predictions [s].
+        align_s: CPU time of TTO1 with its visibility [s].
+        correct_s: CPU time of the line search [s].
     """
 
     def __init__(self) -> None:
@@ -318,7 +318,7 @@ class Clocks:
     def _timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(call)
         def timed(*arguments: Any) -> Any:
-            # Of this thread: another one may look at the next picture meanwhile.
+            # Time this thread only: another one may read the next picture meanwhile.
             start = time.thread_time()
             try:
                 return call(*arguments)

@@ -1,7 +1,7 @@
-"""Whether the cloth lies still, so that its mesh stays as it is. Not in the paper.
+"""Detect cloth at rest, so that its mesh stays as it is. Not in the paper.
 
-A simulated fold may go on settling when the real one has come to rest, for example because the real
-cloth holds a stiff loop that the simulated one lets collapse.
+A simulated fold may keep settling after the real one has come to rest, for example because the real
+cloth holds a stiff loop that collapses in simulation.
 """
 
 from dataclasses import dataclass
@@ -17,42 +17,42 @@ from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.protocols import Observe
 
 _WINDOW = 5
-"""Width of the windows in which changes of depth are averaged [pixels]: a fifth of the noise."""
+"""Width of the windows in which depth changes are averaged [pixels]; it leaves 1/5 of the noise."""
 
 _NOISE_FACTOR = 6.0
-"""A pixel has changed if its averaged change is so many times the median of the whole picture,
-most of which is table that never moves: four deviations of Gaussian noise."""
+"""A pixel has changed if its averaged change exceeds this many times the median of the picture,
+most of which is table that never moves. This is four standard deviations of Gaussian noise."""
 
 _SMALLEST_CHANGE_M = 0.0015
-"""Least averaged change of depth [m] that counts."""
+"""Smallest averaged change of depth [m] that counts."""
 
 _CHANGED_SHARE = 0.005
-"""Share of the cloth's pixels that may have changed in a cloth at rest. Before the first grasp of
-the benchmark's recordings it is below 0.001, while cloth settles above 0.01."""
+"""Share of the cloth's pixels that may have changed in a cloth at rest. In the benchmark's
+recordings it is below 0.001 before the first grasp and above 0.01 while cloth settles."""
 
 REACH = 2
-"""A pixel shows cloth if a point of the cloud is so near [pixels]: clouds are thinned to 4 mm."""
+"""A pixel shows cloth if a cloud point is this near [pixels]; clouds are thinned to 4 mm."""
 
 
 @dataclass(frozen=True)
 class PicturesAtRest:
-    """Compare the depth pictures of two frames while no picker holds the cloth.
+    """Rest test that compares the depth pictures of two frames while no picker holds the cloth.
 
     Attributes:
-        recording: with depth pictures; without any, no frame is at rest.
-        observe: the cloud of a frame.
+        recording: the recording; without depth pictures, no frame is at rest.
+        observe: returns the cloud of a frame.
     """
 
     recording: Recording
     observe: Observe
 
     def __call__(self, action: PickerAction, tracked_at: Frame, frame: Frame) -> bool:
-        """Return whether the cloth lies in a frame as it lay where it was tracked last.
+        """Return whether the cloth has not moved since it was last tracked.
 
         Args:
             action: what the pickers do until the frame.
-            tracked_at: the last frame into which the mesh was moved. Against it, and not against
-                the frame before, slow motion adds up until it shows.
+            tracked_at: the last frame into which the mesh was moved. It is the reference instead
+                of the previous frame, so that slow motion adds up until it is detected.
             frame: the frame.
         """
         if action.motion is not None:
@@ -67,7 +67,7 @@ class PicturesAtRest:
         )
 
     def _changed(self, camera: Camera, before: Frame, after: Frame) -> bool:
-        """Return whether the cloth that is seen in both frames has moved towards a camera."""
+        """Return whether the depth of cloth that is seen in both frames has changed."""
         unit_m = self.recording.depth_units_m[camera.name]
         depths = [read_depth(frame.depth[camera.name], unit_m) for frame in (before, after)]
         cloth = [shown(self.observe(frame).points, camera) for frame in (before, after)]
@@ -83,7 +83,7 @@ class PicturesAtRest:
 def averaged_change(
     before_m: Float[np.ndarray, "height width"], after_m: Float[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
-    """Return the absolute change of depth [m], averaged in windows; NaN where most is unknown."""
+    """Return the absolute value of the window-averaged depth change [m]; NaN if mostly unknown."""
     both = (before_m > 0) & (after_m > 0)
     change = np.where(both, after_m - before_m, 0.0).astype(np.float32)
     share = cv2.boxFilter(both.astype(np.float32), -1, (_WINDOW, _WINDOW))
@@ -95,7 +95,7 @@ def averaged_change(
 def shown(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> Bool[np.ndarray, "height width"]:
-    """Return the pixels that show a cloud."""
+    """Return the pixels that show the points of a cloud."""
     image = np.zeros((camera.height, camera.width), np.uint8)
     pixels, depth = camera.project(points)
     columns, rows = np.rint(pixels[depth > 0]).astype(np.int64).T

@@ -1,7 +1,7 @@
-"""Which parameters to try: grid and coordinate descent (paper, Sec. III-B.1).
+"""Parameter search: grid and coordinate descent (paper, Sec. III-B.1).
 
-A proposal is a generator. It yields lists of candidates, is sent the score of each, and returns the
-candidate that it chooses. It does not know how candidates are scored.
+A proposal is a generator. It yields lists of candidates, receives the score of each, and returns
+the candidate that it chooses. It does not know how candidates are scored.
 """
 
 import itertools
@@ -26,16 +26,16 @@ Axes = Mapping[str, tuple[float | int, ...]]
 """Values to try, by parameter."""
 
 Proposal = Generator[list[Values], list[float], Values]
-"""Yields candidates, is sent their scores, returns the chosen one."""
+"""Yields candidates, receives their scores, returns the chosen one."""
 
 _OFFSET_STEPS = 5
-"""Heights of the grasp to try, spread over the uncertainty that the recording states; without one
-the offset is not searched."""
+"""Number of grasp heights to try, spread over the uncertainty that the recording states; without
+one the offset is not searched."""
 
 
 def _axes() -> dict[str, tuple[float | int, ...]]:
     return {
-        # One, or all: a few pick-and-places make no pile of more than eight.
+        # One layer or all of them: a few pick-and-places do not stack more than eight.
         "held_layers": (1, 8),
         "table_friction": (0.2, 0.5, 1.5),
         # A real T-shirt is stiffer than the cloth of the benchmark.
@@ -46,18 +46,18 @@ def _axes() -> dict[str, tuple[float | int, ...]]:
 
 @dataclass(frozen=True)
 class SearchConfig(Checked):
-    """What is searched for each action, and how.
+    """Settings of the parameter search for each action.
 
     Attributes:
         method: "tracking": coordinate descent over candidates that are tracked to the end of the
-            action, judged by the outline of the mesh; "descent": the same over open-loop roll-outs,
-            judged by the last cloud; "grid": all combinations, open loop (the paper); "none".
+            action, scored by the outline of the mesh; "descent": the same over open-loop roll-outs,
+            scored by the last cloud; "grid": all combinations, open loop (the paper); "none".
         axes: values to try for each searched parameter; the others keep their value. The paper
-            searches stiffness (5), table friction (6) and particle friction (6): 180 combinations
-            printed, 125 stated.
-        sweeps: most passes of coordinate descent over the axes.
-        stop_score: a tracked candidate whose outline misses at most this share of the cloth ends
-            the search: most easy actions need one candidate. 0: never.
+            searches stiffness (5), table friction (6) and particle friction (6): it prints 180
+            combinations and states 125.
+        sweeps: maximum passes of coordinate descent over the axes.
+        stop_score: the search ends at a tracked candidate whose outline misses at most this share
+            of the cloth. Most easy actions then need one candidate. 0: never.
     """
 
     method: SearchMethod = "tracking"
@@ -66,7 +66,7 @@ class SearchConfig(Checked):
     stop_score: NotNegative = 0.03
 
     def __post_init__(self) -> None:
-        """Refuse axes that are empty and values that are not possible.
+        """Reject empty axes and invalid values.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -95,13 +95,13 @@ class SearchConfig(Checked):
         if uncertainty_m <= 0.0 or self.method == "none":
             return self
         values = tuple(np.linspace(-uncertainty_m, uncertainty_m, _OFFSET_STEPS).tolist())
-        # The offset matters most: descent meets it before the properties of the cloth.
+        # The offset matters most, so descent searches it before the properties of the cloth.
         return replace(self, axes={"grasp_offset_z_m": values, **self.axes})
 
     def expected_candidates(self, start: Theta) -> int:
-        """Return the candidates to expect for the progress display.
+        """Return the expected number of candidates for the progress display.
 
-        One, or those of a first sweep from this start in which no candidate is better.
+        It is one, or the number in a first sweep from this start if no candidate is better.
         """
         if self.method != "tracking" or not self.axes:
             return 1
@@ -130,14 +130,14 @@ def coordinate_descent(
     stop_score: float = 0.0,
     min_improvement: float = 0.0,
 ) -> Proposal:
-    """Propose the values of one axis after the other; choose what no other on its axes beats.
+    """Propose the values of one axis after another; choose a minimum along every axis.
 
     Args:
         axes: values to try.
         start: the previous action's optimum; the search begins at the nearest values.
-        sweeps: most passes over the axes.
-        stop_score: end as soon as the best candidate scores no worse; 0: never.
-        min_improvement: leave a candidate only for one whose score is lower by this share of it.
+        sweeps: maximum passes over the axes.
+        stop_score: end as soon as the best score is at most this; 0: never.
+        min_improvement: move to another candidate only if its score is lower by this fraction.
             Smaller differences are noise and would bias the next action.
     """
     best = tuple(_nearest(values, getattr(start, name)) for name, values in axes.items())
@@ -157,30 +157,30 @@ def coordinate_descent(
 
 
 def _nearest(values: tuple[float | int, ...], wanted: float | int) -> float | int:
-    """Return the value that is nearest, in ratio where all are positive."""
+    """Return the nearest value, by ratio if all are positive."""
     if wanted > 0 and min(values) > 0:
         return min(values, key=lambda value: abs(np.log(value / wanted)))
     return min(values, key=lambda value: abs(value - wanted))
 
 
 class Scores:
-    """Scores of candidates, each scored once, and the record that they make."""
+    """Scores of candidates, each scored once, and the record of the search."""
 
     def __init__(self, axes: Axes) -> None:
-        """Begin without any."""
+        """Begin without scores."""
         self._axes = axes
         self._scores: dict[Values, float] = {}
 
     def __getitem__(self, values: Values) -> float:
-        """Return the score of a candidate; infinite if it exploded."""
+        """Return the score of a candidate; infinite if its simulation exploded."""
         return self._scores[values]
 
     def add(self, values: Values, score: float) -> None:
-        """Keep a score. A candidate that exploded is the worst one, not an error."""
+        """Store a score. A candidate that exploded gets the worst score and raises no error."""
         self._scores[values] = score if np.isfinite(score) else np.inf
 
     def missing(self, asked: Sequence[Values]) -> list[Values]:
-        """Return the candidates that have no score yet, each once."""
+        """Return the candidates without a score, each once."""
         return [values for values in dict.fromkeys(asked) if values not in self._scores]
 
     def record(
@@ -196,7 +196,7 @@ class Scores:
             method: "grid" or "descent".
             judge: "open_loop" or "tracking".
             chosen: the candidate that was taken.
-            spread_m: how far apart the candidates end at each vertex [m].
+            spread_m: spread of the candidates' final positions at each vertex [m].
         """
         candidates = np.array(list(self._scores), float).reshape(-1, len(self._axes))
         return Calibration(
@@ -211,5 +211,5 @@ class Scores:
         )
 
     def theta(self, start: Theta, values: Values) -> Theta:
-        """Return the start with the values of a candidate."""
+        """Return `start` with the values of a candidate."""
         return replace(start, **dict(zip(self._axes, values, strict=True)))

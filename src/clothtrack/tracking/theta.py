@@ -1,4 +1,4 @@
-"""theta: what is calibrated per action, properties of the cloth and of the grasp."""
+"""theta: the parameters that are calibrated per action, of the cloth and of the grasp."""
 
 import math
 from dataclasses import dataclass, fields
@@ -10,7 +10,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.parameters import ClothParameters
 
 BEND_SPACING_M = 0.008
-"""Spacing of the vertices [m] at which theta's bend compliance is that of the solver's pairs."""
+"""Vertex spacing [m] at which theta's bend compliance equals that of the solver's pairs."""
 
 
 @dataclass(frozen=True)
@@ -18,13 +18,13 @@ class Theta:
     """Parameters of one action.
 
     Attributes:
-        stretch_compliance: how far an edge gives to a pull [m/N].
-        bend_compliance: how far the cloth gives to bending [m/N], at `BEND_SPACING_M`.
+        stretch_compliance: compliance of an edge in tension [m/N].
+        bend_compliance: compliance of the cloth in bending [m/N], at `BEND_SPACING_M`.
         table_friction: Coulomb coefficient of cloth on table.
         particle_friction: Coulomb coefficient of cloth on cloth.
-        held_layers: how many layers the picker holds, counted from above; 0: the nearest vertices,
-            whatever layer they are of (the paper).
-        grasp_offset_z_m: height of the grasp over the commanded tip [m].
+        held_layers: number of layers the picker holds, counted from above; 0: the nearest
+            vertices, whatever layer they belong to (the paper).
+        grasp_offset_z_m: height of the grasp above the commanded tip [m].
     """
 
     stretch_compliance: float
@@ -37,10 +37,10 @@ class Theta:
     def cloth_parameters(self, mesh: ClothMesh) -> ClothParameters:
         """Return the solver's parameters for a cloth with the spacing of this mesh.
 
-        Two triangles of edge L that are bent to a curvature k move their far corners together by a
-        length proportional to L^3 k^2. The energy per area of a spring of compliance c between
-        them is proportional to L^4 k^4 / c, so the same cloth with a coarser mesh needs a
-        compliance that grows with the fourth power of its spacing.
+        When two triangles of edge length L are bent to a curvature k, the distance between their
+        opposite corners shrinks by a length proportional to L^3 k^2. The energy per area of a
+        spring of compliance c between them is proportional to L^4 k^4 / c. The compliance
+        therefore scales with the fourth power of the mesh spacing.
         """
         bend = self.bend_compliance * (float(mesh.edge_lengths.mean()) / BEND_SPACING_M) ** 4
         return ClothParameters(
@@ -52,11 +52,11 @@ class Theta:
 
 
 PARAMETERS = tuple(field.name for field in fields(Theta))
-"""Names of everything that can be calibrated."""
+"""Names of all parameters that can be calibrated."""
 
 
 def check_parameter(name: str, value: float | int) -> None:
-    """Refuse a value that the named parameter cannot have.
+    """Reject a value that the named parameter cannot have.
 
     Raises:
         InvalidConfigError: with the name, the value and what is allowed.

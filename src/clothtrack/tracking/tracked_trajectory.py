@@ -1,8 +1,8 @@
-"""What the tracker leaves behind: the full mesh at every observation, and how it came about.
+"""Result of tracking: the full mesh at every observation, with records of how it was found.
 
-One Zarr v3 group per trajectory. It is written under a temporary name and renamed, so that a
-group under its final name is whole; a finished group is the mark by which a run resumes. What was
-damaged since is not read: every array and all attributes have a SHA-256.
+A trajectory is one Zarr v3 group. It is written under a temporary name and renamed, so that a
+group under its final name is complete. A resumed run skips recordings with a finished group.
+Damaged groups are rejected, because every array and all attributes have a SHA-256.
 """
 
 from collections.abc import Mapping
@@ -34,20 +34,20 @@ _UNITS_OF_STEPS = {
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """How the cloth parameters of one action were found (paper, Sec. III-B.1).
+    """Record of how the cloth parameters of one action were found (paper, Sec. III-B.1).
 
     Attributes:
         method: "none", "grid" or "descent".
         names: the calibrated parameters, in the order of `candidates`' columns.
         candidates: every combination that was rolled out to the end.
-        scores: of each candidate, lower is better: Chamfer distance [m^2] of an open-loop roll-out
-            against the clouds of the action, or gap of the tracked outline (0 to 1).
-        best: index of the chosen candidate, -1 when nothing was calibrated.
-        roll_outs: full roll-outs spent, early-stopped ones counted by the share they ran.
-        judge: "open_loop" or "tracking": what the scores are.
-        spread_m: how far apart the tracked candidates end at each vertex, as their mean distance
-            from their mean [m]; empty where fewer than two were tracked. They differ where the
-            cloud does not decide.
+        scores: score of each candidate, lower is better: Chamfer distance [m^2] of an open-loop
+            roll-out to the last cloud, or gap of the tracked outline (0 to 1).
+        best: index of the chosen candidate, -1 if nothing was calibrated.
+        roll_outs: number of roll-outs.
+        judge: "open_loop" or "tracking": the kind of the scores.
+        spread_m: spread of the tracked candidates' final positions at each vertex, as the mean
+            distance from their mean [m]; empty if fewer than two were tracked. It is large where
+            the cloud does not determine the cloth.
     """
 
     method: str
@@ -61,23 +61,23 @@ class Calibration:
 
     @classmethod
     def none(cls) -> "Calibration":
-        """Return the record of an action for which nothing was searched."""
+        """Return the record of an action without a search."""
         return cls("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedAction:
-    """One pick-and-place, tracked.
+    """One tracked pick-and-place.
 
     Attributes:
-        first_frame: where it starts.
-        last_frame: where it ends, inclusive.
+        first_frame: first frame.
+        last_frame: last frame, inclusive.
         positions_before_final_alignment: mesh at the last frame before TTO2 [m].
         positions_after_final_alignment: mesh at the last frame after TTO2 [m]: the pseudo-label.
         final_alignment_losses: objective [m^2] of TTO2 at its start and end; NaN without TTO2.
         parameters: the cloth parameters that were used, by name.
         calibration: all candidates and their scores.
-        held_vertices: the vertices each picker held, by picker name.
+        held_vertices: the vertices that each picker held, by picker name.
     """
 
     first_frame: int
@@ -92,14 +92,14 @@ class TrackedAction:
 
 @dataclass(frozen=True, eq=False)
 class StepRecords:
-    """What happened at each frame; NaN, 0 or False where a frame was not stepped into.
+    """Records of each frame; NaN, 0 or False for frames that were not simulated.
 
     Attributes:
         loss_before: objective [m^2] of TTO1 at the predicted mesh.
         loss_after: objective [m^2] of TTO1 at its end.
-        trials: roll-outs tried with a pseudo-action.
-        correction_scale: factor of the correction that was accepted; 0 when it was dropped.
-        gave_up: the line search ran out of trials and the pseudo-action was dropped.
+        trials: number of roll-outs with a pseudo-action.
+        correction_scale: accepted scale of the correction; 0 if it was dropped.
+        gave_up: whether the line search ran out of trials and dropped the pseudo-action.
         highest_speed: fastest vertex [m/s] of the accepted roll-out, before the speed limit.
         predict_s: CPU time of the dynamics roll-out [s].
         align_s: CPU time of TTO1 with its visibility [s].
@@ -118,14 +118,14 @@ class StepRecords:
 
     @classmethod
     def empty(cls, frame_count: int) -> "StepRecords":
-        """Return records of a trajectory in which nothing has happened yet."""
+        """Return the empty records of a new trajectory."""
         blank = {name: np.full(frame_count, np.nan, np.float32) for name in cls.__annotations__}
         blank["trials"] = np.zeros(frame_count, np.int32)
         blank["gave_up"] = np.zeros(frame_count, bool)
         return cls(**blank)
 
     def adopt(self, other: "StepRecords", frames: slice) -> None:
-        """Take these frames from another record."""
+        """Copy these frames from another record."""
         for name in self.__annotations__:
             getattr(self, name)[frames] = getattr(other, name)[frames]
 
@@ -138,7 +138,7 @@ class TrackedTrajectory:
         name: the recording's name.
         mesh: the first mesh: topology, rest shape and canonical coordinates.
         frames: frame indices of the recording.
-        time_s: when they were [s].
+        time_s: times of the frames [s].
         positions: vertex positions in the world [m]; at the last frame of an action they are those
             after the final alignment.
         visible: whether some camera sees the vertex.
@@ -146,8 +146,8 @@ class TrackedTrajectory:
         steps: one record per frame.
         config: the whole configuration of the run.
         provenance: versions, commit, seed, device, the recording's own provenance.
-        verdict_fields: what to do with it and why, as `evaluation.Verdict.as_dict` wrote it; empty
-            where nobody judged it.
+        verdict_fields: the verdict and its reasons, as written by `evaluation.Verdict.as_dict`;
+            empty if the trajectory was not judged.
     """
 
     name: str
@@ -164,20 +164,20 @@ class TrackedTrajectory:
 
     @property
     def frames_after_last_action(self) -> Int[np.ndarray, " _"]:
-        """Frames that nothing tracks: their mesh is that of the last frame of the last action."""
+        """Untracked frames after the last action; their mesh is that of its last frame."""
         return self.frames[self.frames > self.actions[-1].last_frame if self.actions else slice(0)]
 
     def save(self, path: Path | str) -> None:
-        """Write the Zarr group, whole or not at all.
+        """Write the Zarr group completely or not at all.
 
         Raises:
-            StorageError: when the disk refuses; nothing is left under `path` then.
+            StorageError: the disk refuses; then nothing is left under `path`.
         """
         with atomic_folder(Path(path), replace=True) as temporary:
             _write(zarr.open_group(temporary, mode="w"), self)
 
     def __repr__(self) -> str:
-        """One line, without the positions."""
+        """Return one line, without the positions."""
         frames, vertices = self.positions.shape[:2]
         return (
             f"{type(self).__name__}({self.name!r}, {frames} frames, {vertices} vertices, "
@@ -189,7 +189,7 @@ class TrackedTrajectory:
         """Read a group that `save` has written.
 
         Raises:
-            InvalidResultError: when it is missing, unfinished, damaged, or from another version.
+            InvalidResultError: the group is missing, unfinished, damaged, or from another version.
         """
         path = Path(path)
         if not (path / "zarr.json").is_file():
@@ -200,7 +200,7 @@ class TrackedTrajectory:
         try:
             return _read(zarr.open_group(path, mode="r", zarr_format=3))
         except (InvalidResultError, InvalidMeshError, *DAMAGE) as error:
-            # What Zarr and its codecs say may have several lines.
+            # Messages of Zarr and its codecs may have several lines.
             text = " ".join(str(error).split())
             raise InvalidResultError(
                 f"{path}: not a whole tracked trajectory ({text}); remove it and track the "
@@ -279,7 +279,7 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
     attributes = sealed_attributes(group)
     if problem := name_problem(attributes["name"]):
         raise InvalidResultError(f"its name is {attributes['name']!r:.80}: {problem}")
-    attributes.setdefault("verdict", {})  # before it was stored
+    attributes.setdefault("verdict", {})  # missing in groups from before it was stored
     for named in ("config", "provenance", "verdict"):
         if not isinstance(attributes[named], dict):
             raise InvalidResultError(
@@ -356,7 +356,7 @@ def _take(group: zarr.Group, name: str, *shape: int) -> np.ndarray:
 
 
 def _take_spread(group: zarr.Group, name: str, vertices: int) -> np.ndarray:
-    """Return an empty array where nothing was searched, or before the spread was stored."""
+    """Return the spread; empty if nothing was searched or the group predates the spread."""
     if name not in group:
         return np.zeros(0)
     values = take_array(group, name)

@@ -1,4 +1,4 @@
-"""Runs Algorithm 1 over one recording with a named method, or one that is handed in."""
+"""Run Algorithm 1 over one recording with a named method or with a given one."""
 
 from collections.abc import Callable
 
@@ -17,10 +17,10 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 
 class Tracker:
-    """Tracks one cloth through one recording; the solver and its buffers are built once.
+    """Tracker of one cloth in one recording; it builds the solver and its buffers once.
 
     Attributes:
-        method: the functions of Algorithm 1; `dataclasses.replace` exchanges one.
+        method: the functions of Algorithm 1; use `dataclasses.replace` to replace one.
     """
 
     def __init__(
@@ -37,13 +37,13 @@ class Tracker:
         """Set up the dynamics, the aligners and the cameras.
 
         Args:
-            recording: what was recorded.
-            mesh: the flat cloth in the world [m]; its edges are the rest lengths for good.
+            recording: the recording.
+            mesh: the flat cloth in the world [m]; its edges give the rest lengths for the whole
+                run.
             config: the settings.
             observe: turns a frame into a cloud.
-            start: where its vertices are at the first frame [m], when the cloth does not lie flat
-                there.
-            assemble: makes the method; that of `config.mode` by default.
+            start: vertex positions at the first frame [m], if the cloth does not lie flat there.
+            assemble: builds the method; by default that of `config.mode`.
             device: "cpu" or "cuda:0".
         """
         components = Components(recording, mesh, config, observe, start, device)
@@ -58,7 +58,7 @@ class Tracker:
 
         Args:
             progress: called after every frame with action, candidate and frame; counts the frames
-                of all candidates that are to be expected.
+                of all expected candidates.
             watch: called with every mesh.
         """
         components, state = self._components, self._made.state

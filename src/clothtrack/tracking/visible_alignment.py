@@ -1,4 +1,4 @@
-"""TTO1: the visible vertices of a predicted mesh are aligned to the cloud of its frame."""
+"""TTO1: align the visible vertices of a predicted mesh to the cloud of its frame."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -18,32 +18,31 @@ from clothtrack.recordings.recording import Recording, Table
 from clothtrack.tracking.protocols import Correction, Observe, Prediction
 
 SUPPORT_M = 0.01
-"""A vertex with a cloud point this near [m] counts as observed even where the sensor could not have
-contradicted it."""
+"""A vertex with a cloud point this near [m] counts as observed even in a region where the sensor
+could not have contradicted it."""
 
 CLOUD_REACH_M = 0.1
-"""Cloud points farther from every visible vertex [m] are not this cloth."""
+"""Cloud points farther than this [m] from every visible vertex do not belong to this cloth."""
 
 _LEAST_POINTS_PER_VERTEX = 0.1
-"""With fewer cloud points per vertex there is no correction: too little is seen, and the frame's
-prediction stands."""
+"""With fewer cloud points per vertex too little is seen: the prediction is kept uncorrected."""
 
 
 @dataclass(frozen=True, eq=False)
 class VisibleAlignment:
-    """Aligns what is visible, and says which vertices a pseudo-action attaches.
+    """Alignment of the visible vertices, and choice of the vertices that a pseudo-action attaches.
 
     Attributes:
         mesh: the flat first mesh.
         alignment: objective and solver of the optimization.
-        visible: which vertices some camera sees.
+        visible: returns which vertices some camera sees.
         table: the plane that the cloth cannot pass.
-        rest_height_m: height of a vertex over the table when the cloth lies on it [m].
-        anchors: where feature tracks want vertices.
+        rest_height_m: height of a vertex above the table when the cloth lies on it [m].
+        anchors: returns the vertex targets given by feature tracks.
         observed_only: attach only vertices that the sensor could have contradicted; the paper
             attaches every visible vertex.
-        uncrossed_only: leave vertices free where the predicted cloth passes through itself; the
-            paper attaches them. Contact undoes a crossing, but not against a pull.
+        uncrossed_only: leave vertices free where the predicted cloth intersects itself; the paper
+            attaches them. Contact can undo a crossing, but not against a pull.
         device: "cpu" or "cuda:0".
     """
 
@@ -66,13 +65,13 @@ class VisibleAlignment:
         return CrossingCheck(self.mesh.faces)
 
     def __call__(self, predicted: Prediction, observation: Observation) -> Correction | None:
-        """Return how the predicted mesh has to move; None when there is too little cloud."""
+        """Return the correction of the predicted mesh; None if the cloud is too small."""
         return self.aligned(predicted.positions[0], observation)
 
     def aligned(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Correction | None:
-        """Return how vertices [m] have to move to meet a cloud; None when there is too little."""
+        """Return the correction of vertices [m] to a cloud; None if the cloud is too small."""
         visible = self.visible(positions)
         points = within_reach(observation.points, positions[visible], CLOUD_REACH_M)
         if len(points) < _LEAST_POINTS_PER_VERTEX * len(positions):
@@ -110,19 +109,19 @@ class VisibleAlignment:
 
 
 def no_alignment(predicted: Prediction, observation: Observation) -> None:  # noqa: ARG001
-    """Return None: the ablation without pseudo-actions, in which every prediction stands."""
+    """Return None: the ablation without pseudo-actions, which keeps every prediction."""
     return
 
 
 def only_at(frames: Collection[int], observe: Observe, recording: Recording) -> Observe:
-    """Observe only these frames; return an empty observation for all others.
+    """Return an observer of only these frames; all others give an empty observation.
 
-    Reading pictures that nothing uses costs a sixth of an open-loop run.
+    Reading unused pictures costs a sixth of an open-loop run.
 
     Args:
-        frames: indices of the frames that are observed.
-        observe: the cloud of a frame.
-        recording: its cameras.
+        frames: indices of the observed frames.
+        observe: returns the cloud of a frame.
+        recording: provides the cameras.
     """
     nothing = Observation(np.zeros((0, 3)), recording.cameras, {}, None, np.zeros((0, 3)), 0.0)
     return lambda frame: observe(frame) if frame.index in frames else nothing
@@ -131,10 +130,10 @@ def only_at(frames: Collection[int], observe: Observe, recording: Recording) -> 
 def _supported(
     vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " vertices"]:
-    """Return which vertices have a cloud point near them."""
+    """Return which vertices have a cloud point nearby."""
     if not len(vertices):
         return np.zeros(0, dtype=bool)
-    # Few vertices ask: most points are far from all of them, and need no place in a tree.
+    # There are few vertices and most points are far from all of them: keep those out of the tree.
     tree = cKDTree(beside(points, vertices, SUPPORT_M), balanced_tree=False)
     distance = tree.query(vertices, distance_upper_bound=SUPPORT_M)[0]
     return np.isfinite(distance)

@@ -1,7 +1,8 @@
-"""Triangles, edges or vertices of one cloth by eights of neighbors, with boxes around them.
+"""Blocks of eight neighboring triangles, edges or vertices of one cloth, with bounding boxes.
 
-Contact asks eight boxes at once what is near (`geometry.boxes`). What is near in the rest shape
-stays near, because it is of one cloth: the order is made once, and a search only fits the boxes.
+Contact tests eight boxes at once (`geometry.boxes`). Neighbors in the rest shape stay neighbors,
+because they belong to one cloth. The order is therefore computed once, and a search only refits the
+boxes.
 """
 
 from typing import no_type_check
@@ -21,11 +22,11 @@ _EIGHT = wp.constant(EIGHT)
 
 
 class Eights:
-    """All triangles or all edges of a cloth.
+    """All triangles or all edges of a cloth in blocks of eight ("eights").
 
     Attributes:
-        numbers: which they are (eights, 8); -1 where an eight is not full.
-        corners: their vertices (eights, 3, 8), as `numbers`; an edge repeats its second one.
+        numbers: their indices (eights, 8); -1 for empty places of a block.
+        corners: their vertices (eights, 3, 8), as `numbers`; an edge repeats its second vertex.
         around: boxes around each eight (environments, eights of eights, 6, 8) [m].
         top: boxes around each eight of eights (environments, eights of those, 6, 8) [m].
     """
@@ -48,7 +49,7 @@ class Eights:
 
     @property
     def threads(self) -> int:
-        """How many threads share the eights of an environment."""
+        """Number of threads that share the eights of an environment."""
         return self._buffers.threads(len(self.numbers))
 
     def fit_top(self) -> None:
@@ -78,7 +79,7 @@ def fit_top(
     around: wp.array4d(dtype=float),
     top: wp.array4d(dtype=float),
 ):
-    """The box around each eight of boxes."""
+    """Compute the box around each eight of boxes."""
     environment, thread = wp.tid()
     for number in range(thread, around.shape[1], stride):
         block = nth(number)

@@ -11,19 +11,21 @@ from clothtrack.simulation.contact.blocks_of_eight import Eights
 from clothtrack.simulation.parameters import SolverConfig
 
 _DISTANCE_SHARE = 0.5
-"""Distance that edges keep over that of layers: flat layers are left to vertices and triangles."""
+"""Contact distance of edges as a share of that of layers. It is smaller because vertex-triangle
+contact handles flat layers."""
 
 _MARGIN_SHARE = 0.2
-"""Edges are listed this far beyond it, over the distance of layers, and by how fast they near."""
+"""Margin beyond that distance within which edges are listed, as a share of the distance of layers;
+their approach in the time until the next search is added."""
 
 _FLAT_COSINE = 0.94
-"""An edge whose triangles' normals are nearer than this (20 degrees) is flat."""
+"""An edge is flat if the cosine between its triangles' normals exceeds this (20 degrees)."""
 
 
 class EdgeContact:
-    """Edges against bent or open edges nearby; sides are those of the last search.
+    """Contact of edges with bent or open edges nearby; sides are those of the last search.
 
-    Adds to what vertex-triangle contact has computed, and remembers nothing between searches.
+    It adds to the result of vertex-triangle contact, and stores nothing between searches.
     """
 
     def __init__(
@@ -44,8 +46,8 @@ class EdgeContact:
         longest = 1.05 * float(mesh.edge_lengths.max())
         self._distance = _DISTANCE_SHARE * config.thickness_m
         self._margin = _MARGIN_SHARE * config.thickness_m
-        # Two edges that pass between their ends have middles less than one length apart; one that
-        # is farther off than twice this is not listed, however fast it nears.
+        # Two edges that cross between their ends have midpoints less than one length apart. Edges
+        # farther apart than twice the reach are not listed, however fast they approach.
         self._reach = longest + config.thickness_m
         self._normals = wp.zeros((environments, len(mesh.faces)), dtype=wp.vec3, device=device)
         self._eights = Eights(mesh, mesh.edges[:, [0, 1, 1]], buffers)
@@ -101,7 +103,7 @@ class EdgeContact:
         )  # fmt: skip
 
     def push(self) -> None:
-        """Add what the edges want to what the triangles want."""
+        """Add the position changes from edges to those from triangles."""
         buffers, device = self._buffers, self._device
         environments, edges = self._counts.shape
         threads, vertices = buffers.threads(edges), buffers.threads(buffers.shape[1])

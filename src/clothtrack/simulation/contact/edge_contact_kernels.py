@@ -1,9 +1,9 @@
-"""Kernels of contact between edges, where cloth is creased.
+"""Kernels of contact between edges, for creased cloth.
 
-Between flat layers vertices and triangles say all there is. Over a crease they do not: the ridge of
-one layer cuts through the edges of another while every vertex is still on its side. So edges look
-for bent edges nearby. Sums are kept in whole numbers, so that no result depends on the order of
-threads.
+Vertex-triangle contact is sufficient between flat layers but not at a crease. There the ridge of
+one layer can cut through the edges of another while every vertex is still on its side. Edges are
+therefore tested against bent edges nearby. Sums are kept as integers, so that no result depends on
+the order of threads.
 """
 
 from typing import no_type_check
@@ -28,7 +28,7 @@ from clothtrack.simulation.kernels import Clock, nth
 wp.set_module_options({"enable_backward": False})
 
 EDGES_PER_EDGE = 8
-"""Slots of each edge for edges that it may touch."""
+"""Slots per edge for edges that it may touch."""
 
 _EIGHT = wp.constant(EIGHT)
 _UNIT = wp.constant(wp.float32(1.0e12))
@@ -39,9 +39,9 @@ _NEARLY_PARALLEL = wp.constant(0.0025)
 @no_type_check
 @wp.struct
 class Crossing:
-    """How two segments pass each other: plain normal, its square, shares along both, gap [m].
+    """How two segments cross: unscaled normal, its square, positions along both (0 to 1), gap [m].
 
-    The gap has a sign. All are zero when the lines are nearly parallel or pass beyond the ends.
+    The gap is signed. All are zero if the lines are nearly parallel or cross beyond the ends.
     """
 
     normal: wp.vec3
@@ -54,7 +54,7 @@ class Crossing:
 @no_type_check
 @wp.func
 def _pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """Return how the segment from a to b passes the segment from c to d."""
+    """Return how the segment from a to b crosses the segment from c to d."""
     crossing = Crossing()
     first = b - a
     second = d - c
@@ -65,7 +65,7 @@ def _pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     along_second = wp.dot(wp.cross(between, first), normal)
     low = wp.min(along_first, along_second)
     high = wp.max(along_first, along_second)
-    # Most pass each other beyond their ends: they are told before anything is divided.
+    # Most segments cross beyond their ends; detect them before any division.
     if (
         low > 0.0
         and high < square
@@ -82,7 +82,7 @@ def _pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
 @no_type_check
 @wp.func
 def inside(crossing: Crossing):
-    """Return whether the segments pass each other between their ends."""
+    """Return whether the segments cross between their ends."""
     low = wp.min(crossing.along_first, crossing.along_second)
     high = wp.max(crossing.along_first, crossing.along_second)
     return crossing.square > 0.0 and low > 0.0 and high < 1.0
@@ -109,7 +109,7 @@ def find_normals(
     positions: wp.array2d(dtype=wp.vec3),
     normals: wp.array2d(dtype=wp.vec3),
 ):
-    """Unit normal of every triangle."""
+    """Compute the unit normal of every triangle."""
     environment, thread = wp.tid()
     here = positions[environment]
     unit = normals[environment]
@@ -138,12 +138,13 @@ def fit_edges(
     bent: wp.array2d(dtype=wp.uint32),
     around: wp.array4d(dtype=float),
 ):
-    """The box of every edge [m]; which of each eight are bent or open, and a box around those.
+    """Compute the box of every edge [m], the bent or open ones of each eight, and their joint box.
 
-    Edges whose boxes are apart may not be listed as a pair. A box holds the edge, half of the
-    distance within which edges are listed, and how far the faster end flies until the next search.
-    A thousandth more, and a millionth of where it is, are for rounding. What is farther from its
-    middle than `reach` [m] is left out, however fast it is: after an explosion, all would touch.
+    Edges whose boxes do not overlap are not listed as a pair. A box contains the edge, a margin of
+    half the distance within which edges are listed, and the travel of the faster end until the
+    next search. For rounding it is enlarged by a thousandth, and by a millionth of its coordinates.
+    It extends at most `reach` [m] from the middle of the edge, however fast the edge is, because
+    otherwise all boxes would overlap after an explosion.
     """
     environment, thread = wp.tid()
     here = positions[environment]
@@ -193,7 +194,7 @@ def _side_of(
     positions: wp.array(dtype=wp.vec3),
     velocities: wp.array(dtype=wp.vec3),
 ):
-    """Return the side on which an edge passes another that it may touch; 0 if it cannot."""
+    """Return the side on which an edge crosses another that it may touch; 0 if it cannot."""
     i = ends[0]
     j = ends[1]
     c = far[0]
@@ -239,8 +240,8 @@ def find_edges(
 ):
     """List the bent edges that each edge may touch before the next search, with its side.
 
-    A pair of bent edges is listed by the one with the lower number, and partners by their number.
-    `listed` are the edges that have a pair, in any order, `totals` is how many.
+    A pair of bent edges is listed at the edge with the lower number. Partners are sorted by their
+    number. `listed` contains the edges that have a pair, in any order; `totals` is their count.
     """
     environment, thread = wp.tid()
     here = positions[environment]
@@ -315,7 +316,7 @@ def _add_share(
     inverse_masses: wp.array2d(dtype=float),
     sums: wp.array3d(dtype=wp.int64),
 ):
-    """Add to what the edges want to move one vertex."""
+    """Add to the position change of one vertex from edges."""
     weight = share * inverse_masses[environment, vertex] * _UNIT
     for axis in range(3):
         wp.atomic_add(sums, environment, vertex, axis, wp.int64(weight * moving[axis]))
@@ -341,7 +342,7 @@ def push_edges(
     start: wp.array2d(dtype=wp.vec3),
     sums: wp.array3d(dtype=wp.int64),
 ):
-    """Push listed edges apart that are nearer than their distance or on the wrong side."""
+    """Push apart listed edges that are nearer than their distance or on the wrong side."""
     environment, thread = wp.tid()
     here = positions[environment]
     before = start[environment]
@@ -400,7 +401,7 @@ def add_to_moves(
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
 ):
-    """Average over the active pairs (Jacobi), add to what the triangles want; clear the sums."""
+    """Add the average over the active pairs (Jacobi) to the triangles' moves; clear the sums."""
     environment, thread = wp.tid()
     if totals[environment] == 0:
         return

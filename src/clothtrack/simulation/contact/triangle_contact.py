@@ -1,4 +1,4 @@
-"""Contact between vertices and triangles, which remember on which side of each other they are."""
+"""Contact between vertices and triangles, which stores on which side each vertex is."""
 
 import numpy as np
 import warp as wp
@@ -18,7 +18,7 @@ _REACTIONS_PER_VERTEX = 48
 
 
 class TriangleContact:
-    """Vertices against triangles; each pair remembers its side."""
+    """Contact of vertices with triangles; each pair stores its side."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class TriangleContact:
         reach = _face_reach(mesh, config)
         self._face_reach = wp.array(np.square(reach).astype(np.float32), dtype=float, device=device)
         self._eights = Eights(mesh, mesh.faces, buffers)
-        # Nothing faces planes that are not numbers, as those are that fill the last eight.
+        # NaN planes fill the last block of eight, because no point is ever near a NaN plane.
         planes = np.full((environments, len(self._eights.numbers), 12, EIGHT), np.nan, np.float32)
         self._planes = wp.array(planes, dtype=float, device=device)
         self._groups = wp.array(in_eights(mesh.vertices), dtype=int, device=device)
@@ -97,19 +97,19 @@ class TriangleContact:
         eights.fit_top()
 
     def push(self) -> None:
-        """Compute what contact adds to the positions."""
+        """Compute the position changes from contact."""
         self._push.launch()
         if self._edges is not None:
             self._edges.push()
 
     @property
     def impulse_inputs(self) -> list[object]:
-        """What every kernel that computes impulses takes first."""
+        """First inputs of every kernel that computes impulses."""
         config = self._config
         return [self.buffers.clocks, CONTACT_TOLERANCE, config.push_out_speed, self._friction]
 
     def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The lists; slots beyond the count are cleared, so that equal states have equal bits."""
+        """Return the lists; unused slots are cleared, so that equal states have equal bits."""
         counts = self.counts.numpy().copy()
         filled = np.arange(TRIANGLES_PER_VERTEX) < counts[..., None]
         sides = np.where(filled, self.sides.numpy(), 0).astype(np.int32)
@@ -117,16 +117,16 @@ class TriangleContact:
         return sides, distances, counts
 
     def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
-        """Take the lists back."""
+        """Restore the lists."""
         overwrite(self.sides, sides)
         overwrite(self.distances, distances)
         overwrite(self.counts, counts)
 
 
 class _ScatteredPush:
-    """Goes through an environment's pairs and adds each impulse where it belongs.
+    """Push on a CPU: go through an environment's pairs and add each impulse to its vertices.
 
-    For a CPU, where threads run one after another.
+    On a CPU threads run one after another.
     """
 
     def __init__(self, contact: TriangleContact) -> None:
@@ -138,7 +138,7 @@ class _ScatteredPush:
         """Prepare nothing: the pairs are read where `find` listed them."""
 
     def launch(self) -> None:
-        """Compute what contact adds to the positions."""
+        """Compute the position changes from contact."""
         contact, buffers = self._contact, self._contact.buffers
         wp.launch(
             pushes.scatter_impulses,
@@ -153,9 +153,9 @@ class _ScatteredPush:
 
 
 class GatheredPush:
-    """Stores the impulse of each pair, then lets each vertex gather what concerns it.
+    """Push on a GPU: store the impulse of each pair, then gather the impulses of each vertex.
 
-    For a GPU; every corner of a triangle knows its pairs.
+    Every corner of a triangle has a list of its pairs.
     """
 
     def __init__(self, contact: TriangleContact) -> None:
@@ -172,7 +172,7 @@ class GatheredPush:
         self._reaction_counts = wp.zeros(buffers.shape, dtype=int, device=device)
 
     def prepare(self) -> None:
-        """Tell every corner which of the listed pairs push it."""
+        """List for every corner the pairs that push it."""
         contact, buffers = self._contact, self._contact.buffers
         self._reaction_counts.zero_()
         wp.launch(
@@ -190,7 +190,7 @@ class GatheredPush:
         )
 
     def launch(self) -> None:
-        """Compute the impulse of each pair, then what each vertex makes of its own."""
+        """Compute the impulse of each pair, then the position change of each vertex."""
         contact, buffers = self._contact, self._contact.buffers
         wp.launch(
             pushes.find_impulses,
@@ -222,7 +222,7 @@ class GatheredPush:
 def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
     """Return the radius around each triangle's center within which a vertex may touch it [m].
 
-    A barycentric tolerance t widens a triangle by 1 + 3 t about its center; 5 % more is for
+    A barycentric tolerance t scales a triangle by 1 + 3 t about its center; 5 % more allows for
     stretch.
     """
     corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]

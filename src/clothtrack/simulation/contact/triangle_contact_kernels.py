@@ -1,7 +1,7 @@
-"""Kernels of contact between vertices and triangles that remember their side.
+"""Kernels of contact between vertices and triangles that store their side.
 
-A vertex near a triangle keeps the side on which it was first seen, so that a layer pushed through
-another finds its way back. These kernels find the pairs; `triangle_push_kernels` pushes them apart.
+A vertex near a triangle keeps the side on which it was first found, so that a layer that was pushed
+through another returns. These kernels find the pairs; `triangle_push_kernels` pushes them apart.
 """
 
 from typing import no_type_check
@@ -24,13 +24,13 @@ from clothtrack.simulation.kernels import Clock, nth
 wp.set_module_options({"enable_backward": False})
 
 TRIANGLES_PER_VERTEX = 16
-"""Slots of each vertex for triangles that it may touch."""
+"""Slots per vertex for triangles that it may touch."""
 
 SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
 
 _EIGHT = wp.constant(EIGHT)
 _THIRD = wp.constant(1.0 / 3.0)
-# By how much what is asked eight at once is more than what is listed, for rounding.
+# Relative margin of the tests of eight at once over the exact tests, for rounding.
 _SLACK = wp.constant(0.002)
 
 
@@ -47,14 +47,15 @@ def fit_triangles(
     planes: wp.array4d(dtype=float),
     around: wp.array4d(dtype=float),
 ):
-    """Where triangles may be touched: planes of each, and a box around each eight [m].
+    """Compute where triangles may be touched: planes of each, and a box around each eight [m].
 
-    `planes[eight, k, place]` of one of eight are its first corner (k = 0, 1, 2) [m], its unit
-    normal (3, 4, 5) and the gradients of its second (6, 7, 8) and third weight (9, 10, 11) [1/m].
-    A foot whose weights are at least -t lies in the triangle widened by 1 + 3 t about its center.
-    The weights of a triangle that is hardly one are rounding, and one stretched to many times its
-    size may be touched only near its center: there planes of zeros refuse nothing, and the box is
-    that of the reach. Some thousandths more, and a millionth of where it is, are for rounding.
+    `planes[eight, k, place]` are the first corner of a triangle (k = 0, 1, 2) [m], its unit normal
+    (3, 4, 5) and the gradients of its second (6, 7, 8) and third weight (9, 10, 11) [1/m]. A foot
+    whose weights are at least -t lies in the triangle scaled by 1 + 3 t about its center. The
+    weights of a degenerate triangle are only rounding errors, and a triangle stretched to many
+    times its size may be touched only near its center. For both the planes are zero and reject
+    nothing, and the box is that of the reach. For rounding, boxes are enlarged by some thousandths,
+    and by a millionth of their coordinates.
     """
     environment, thread = wp.tid()
     here = positions[environment]
@@ -150,7 +151,7 @@ def _find_facing(
 ):
     """Set a bit for each triangle of an eight that a point is near.
 
-    That is no farther from its plane than `depth` [m], with no weight under `lowest`.
+    The point is near if it is within `depth` [m] of the plane and no weight is below `lowest`.
     """
 
 
@@ -207,7 +208,7 @@ def vote(
     sides: wp.array(dtype=int),
     count: int,
 ):
-    """Side that the vertex remembers for triangles that touch this one and face the same way."""
+    """Sum the vertex's stored sides for triangles that touch this one and face the same way."""
     votes = wp.int32(0)
     for slot in range(count):
         code = sides[nth(slot)]
@@ -223,7 +224,7 @@ def vote(
 @no_type_check
 @wp.struct
 class Pair:
-    """Side of a triangle on which a vertex is (0: they cannot touch) and distance to keep [m]."""
+    """Side of a vertex at a triangle (0: they cannot touch), and distance to keep [m]."""
 
     side: wp.int32
     distance: wp.float32
@@ -248,7 +249,7 @@ def _examine_pair(
     old_distances: wp.array(dtype=float),
     remembered: int,
 ):
-    """Return whether a vertex may touch a triangle before the next search, and from which side."""
+    """Return the side and distance of a vertex that may touch a triangle before the next search."""
     pair = Pair()
     i = nth(face[0])
     j = nth(face[1])
@@ -304,7 +305,7 @@ def insert_pair(
     distances: wp.array(dtype=float),
     overflows: wp.array(dtype=int),
 ):
-    """Put a pair where its triangle's number wants it; the number of pairs then."""
+    """Insert a pair sorted by its triangle's number; return the new number of pairs."""
     count = int(found)
     if count == sides.shape[0]:
         wp.atomic_add(overflows, environment, 1)
@@ -332,7 +333,7 @@ def _in_reach(
     depth: float,
     tolerance: float,
 ):
-    """Return whether a point is where a triangle that is hardly stretched may be touched.
+    """Return whether a point is where a triangle with little stretch may be touched.
 
     That is in a ball around its center (squared reach [m^2]) and, seen along the normal, in a disc.
     """
@@ -345,11 +346,11 @@ def _in_reach(
     widened = 1.001 * (1.0 + 3.0 * tolerance)
     radius = widened * widened * farthest
     if doubled_area < 1.0e-9:
-        radius = square_reach  # no plane to look along
+        radius = square_reach  # a degenerate triangle has no normal
     away = point - center
     square = wp.dot(away, away)
     height = wp.dot(away, normal / (doubled_area + 1.0e-15))
-    # Not ">" for the ball: what is not a number must not touch either.
+    # Use "<=" instead of "not >" for the ball, so that NaN does not touch.
     return (
         square <= square_reach
         and not wp.abs(height) > 1.001 * depth
@@ -388,8 +389,8 @@ def find_pairs(
 ):
     """List the triangles that each vertex may touch before the next search, with its side.
 
-    They are listed by their number, so that no sum depends on how they were found. `groups` are
-    the vertices eight by eight, `points` boxes without extent where they are.
+    They are sorted by their number, so that no sum depends on the order in which they were found.
+    `groups` are the vertices in blocks of eight, `points` are zero-size boxes at their positions.
     """
     environment, thread = wp.tid()
     here = positions[environment]

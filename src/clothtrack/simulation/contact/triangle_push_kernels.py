@@ -1,9 +1,9 @@
-"""Kernels that push apart what vertex-triangle contact has listed.
+"""Kernels that push apart the pairs listed by vertex-triangle contact.
 
-Each pair gives equal and opposite impulses to the vertex and to the triangle's corners. On a GPU
-every pair's impulse is stored first, and every vertex then gathers its own in a fixed order. On a
-CPU one thread goes through the pairs of an environment and adds each impulse at once. Both compute
-the same sums in another order, and neither depends on the order of threads.
+Each pair applies equal and opposite impulses to the vertex and to the triangle's corners. On a GPU
+every pair's impulse is stored first, and every vertex then gathers its impulses in a fixed order.
+On a CPU one thread goes through the pairs of an environment and adds each impulse to its vertices.
+Both compute the same sums in a different order; neither depends on the order of threads.
 """
 
 from typing import no_type_check
@@ -26,7 +26,7 @@ def list_reactions(
     reaction_counts: wp.array2d(dtype=int),
     overflows: wp.array(dtype=int),
 ):
-    """Tell every corner of a listed triangle which pairs push it (pair x 3 + corner)."""
+    """List for every corner of a listed triangle the pairs that push it (pair x 3 + corner)."""
     environment, vertex = wp.tid()
     for slot in range(counts[environment, vertex]):
         face = faces[wp.abs(sides[environment, vertex, slot]) - 1]
@@ -44,7 +44,7 @@ def sort_reactions(
     reactions: wp.array3d(dtype=int),
     reaction_counts: wp.array2d(dtype=int),
 ):
-    """Order each corner's reactions, so that sums do not depend on the order of threads."""
+    """Sort each corner's reactions, so that sums do not depend on the order of threads."""
     environment, vertex = wp.tid()
     count = wp.min(reaction_counts[environment, vertex], reactions.shape[2])
     reaction_counts[environment, vertex] = count
@@ -60,9 +60,9 @@ def sort_reactions(
 @no_type_check
 @wp.struct
 class _Impulse:
-    """What a pair does to its vertex: impulse, the part that ends an approach [kg m], foot.
+    """Effect of a pair on its vertex: impulse, the part that ends an approach [kg m], foot.
 
-    The corners get the opposite, in the shares of the foot. All is zero when nothing happens.
+    The corners get the opposite, weighted by the foot. All are zero if the pair does not touch.
     """
 
     moving: wp.vec3
@@ -84,7 +84,7 @@ def pair_impulse(
     positions: wp.array(dtype=wp.vec3),
     start: wp.array(dtype=wp.vec3),
 ):
-    """_Impulse of a listed pair, if it is nearer than its distance or on the wrong side."""
+    """Return the impulse of a listed pair that is nearer than its distance or on the wrong side."""
     impulse = _Impulse()
     point = positions[vertex]
     i = nth(face[0])
@@ -110,7 +110,7 @@ def pair_impulse(
     own = inverse_masses[vertex]
     weights = wp.vec3(inverse_masses[i], inverse_masses[j], inverse_masses[k])
     if own == 0.0 and (weights[0] == 0.0 or weights[1] == 0.0 or weights[2] == 0.0):
-        return impulse  # what one hand holds together stays as it was grasped
+        return impulse  # cloth that one picker holds together stays as it was grasped
     weight = own + wp.dot(wp.cw_mul(foot, foot), weights)
     if weight == 0.0:
         return impulse
@@ -143,7 +143,7 @@ def find_impulses(
     stopping: wp.array3d(dtype=wp.vec3),
     weights: wp.array3d(dtype=wp.vec3),
 ):
-    """_Impulse [kg m] of each listed pair that is nearer than its distance or on the wrong side."""
+    """Compute the impulse [kg m] of each pair nearer than its distance or on the wrong side."""
     environment, vertex = wp.tid()
     longest = push_out_speed * clocks[0].substep_s
     for slot in range(counts[environment, vertex]):
@@ -171,11 +171,11 @@ def gather_impulses(
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
 ):
-    """Average over the active pairs of what each wants to move this vertex (Jacobi) [m].
+    """Average the position changes of each vertex over its active pairs (Jacobi) [m].
 
-    A pair counts by its share in the vertex: a corner far from the foot is no reason to give way
-    less to what presses on the vertex itself. `stops` is the part that ends an approach and so
-    changes the velocity too.
+    A pair is weighted by its share in the vertex, so that a pair whose foot is far from this corner
+    does not weaken a pair that presses on the vertex itself. `stops` is the part that ends an
+    approach and therefore also changes the velocity.
     """
     environment, vertex = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
