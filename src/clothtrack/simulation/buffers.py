@@ -16,7 +16,7 @@ class ClothBuffers:
     Attributes:
         positions: positions of the state.
         velocities: velocities of the state; within a substep those of the free flight.
-        start: positions at the beginning of the substep, after a soft pull.
+        start: positions at the beginning of the substep.
         predicted: positions after free flight in the elastic substep.
         moves: position changes from contact.
         stops: the part of `moves` that ends an approach and changes the velocity.
