@@ -51,8 +51,8 @@ class ActionConfig(Checked):
         both_layers: share of grasps that also take the cloth underneath.
         grasp_radius_m: horizontal reach of the gripper [m].
         reach_m: largest distance of a place from the table's origin [m].
-        release_height_m: height of the tip above the cloth at the place when it opens [m]; above the
-            lowest vertex if no cloth is there.
+        release_height_m: height of the tip above the cloth at the place when it opens [m]; above
+            the lowest vertex if no cloth is there.
         free_speed: speed of the tool without cloth [m/s].
         frame_rate: pictures per second [1/s].
         picks: location of the grasps. "outline": mostly at the outline of the cloth; "middle": in
