@@ -19,7 +19,7 @@ def inspect_many(
     suggest: Path | str | None = None,
     progress: "Progress | None" = None,
 ) -> "Many[Inspection | Verification]":
-    """Check that artifacts are readable and unchanged; list their content and what is wrong.
+    """Check that artifacts are readable and unchanged, and list what is wrong.
 
     For a recording, report what it holds, what is wrong, and which of its geometry its own pictures
     contradict. For everything else, report one line: ok, or what is damaged. Everything is read,
