@@ -6,7 +6,7 @@
     run.positions  # [m], (frames, vertices, 3)
     run.save("out/my_recording.zarr")
 
-These names are what the package promises. What they are made of lies in its rooms, and may change.
+These names are the public interface. Everything else in the subpackages may change.
 """
 
 from typing import TYPE_CHECKING

@@ -1,7 +1,8 @@
-"""The names of a front, imported when somebody first asks for them (PEP 562).
+"""Lazy imports for the `__init__.py` of a package (PEP 562).
 
-A front lists its imports once, under `if TYPE_CHECKING:`, where editors and type checkers read
-them. Here the same list is read at run time, so that `import clothtrack` loads nothing heavy.
+A package lists its imports once, under `if TYPE_CHECKING:`, for editors and type checkers. This
+module reads the same list at run time and imports each name on first use, so that
+`import clothtrack` loads nothing heavy.
 """
 
 import sys
@@ -10,7 +11,7 @@ from functools import cache
 
 
 def lazy_names(front: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a package.
+    """Return the `__getattr__` and `__dir__` of a package.
 
     Args:
         front: name of the package; its `__init__.py` has the imports under `if TYPE_CHECKING:` and
@@ -33,7 +34,7 @@ def lazy_names(front: str) -> tuple[Callable[[str], object], Callable[[], list[s
 
 @cache
 def _imports_of(front: str) -> dict[str, tuple[str, str]]:
-    """Module and name there of every name that a front imports for type checkers."""
+    """Return, per name imported for type checkers, its module and its name in that module."""
     import ast
     from pkgutil import get_data
 

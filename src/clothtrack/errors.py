@@ -1,4 +1,4 @@
-"""Every error that a user can act on.
+"""Errors that a user can act on.
 
 A message names the file, the field, the value found, what is allowed and what to do next.
 Expected failures of the method (a line search that gives up, an alignment that stops early) are
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 class ClothTrackError(Exception):
-    """The root of all errors that clothtrack raises on purpose; the command line exits with 1."""
+    """The base of all errors that clothtrack raises on purpose; the command line exits with 1."""
 
 
 class InvalidRecordingError(ClothTrackError):
@@ -18,7 +18,7 @@ class InvalidRecordingError(ClothTrackError):
 
 
 class TruncatedError(ClothTrackError):
-    """A part of a source is missing or damaged; the rest may be whole, so importing goes on."""
+    """A part of a source is missing or damaged; the rest may be intact, so the import continues."""
 
 
 class InvalidMeshError(ClothTrackError):
@@ -26,7 +26,7 @@ class InvalidMeshError(ClothTrackError):
 
 
 class SimulationDivergedError(ClothTrackError):
-    """The cloth simulation left the finite numbers and there is no state to go back to."""
+    """The cloth simulation became non-finite and there is no earlier state to return to."""
 
 
 class InvalidResultError(ClothTrackError):
@@ -38,26 +38,26 @@ class InvalidConfigError(ClothTrackError):
 
 
 class WrongUsageError(InvalidConfigError):
-    """What was asked for cannot be understood, or excludes itself; the exit code is 2."""
+    """A request that cannot be understood or contradicts itself; the exit code is 2."""
 
 
 class StorageError(ClothTrackError):
-    """The disk refused: full, read-only or not ours to write."""
+    """The file system refused an operation: it is full, read-only or denies access."""
 
     @classmethod
     def of(cls, error: OSError, path: Path | None = None) -> "StorageError":
-        """What the system refused, at `path` or where it says itself, and what to do."""
+        """Return the error with a remedy and the path: `path`, or else that of `error`."""
         where = path or error.filename or "the output"
         text = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
         return cls(f"{where}: {text}")
 
 
 def why_unreadable(error: OSError, remedy: str) -> str:
-    """Why the system does not open a file, and what to do: "problem; remedy".
+    """Return why a file cannot be opened and what to do, as "problem; remedy".
 
     Args:
-        error: what it said.
-        remedy: what to do where the file is missing, or is no file.
+        error: the error of the operating system.
+        remedy: what to do if the file is missing or is not a file.
     """
     if isinstance(error, PermissionError):
         return "no permission to read it; change its owner or its mode"

@@ -1,3 +1,3 @@
-"""The version of the package, for everything that is written with it."""
+"""The version of the package, which is stored in everything that it writes."""
 
 __version__ = "0.1.0"

@@ -1,5 +1,5 @@
-"""What `import clothtrack` does, and so what the command line does: one function for each wish.
+"""The public functions of `clothtrack`, which the command line offers as verbs.
 
-The command line makes a verb of such a function (`clothtrack.cli.signature`): its options are the
-arguments, its help is the docstring. So the modules of verbs load no stage when they are imported.
+The command line makes a verb of such a function (`clothtrack.cli.signature`): the arguments become
+options and the docstring becomes the help. The modules therefore load no stage on import.
 """

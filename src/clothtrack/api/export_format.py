@@ -1,4 +1,4 @@
-"""Which format an exported file has: what its name ends in says it."""
+"""The format of an exported file, which follows from its suffix."""
 
 from pathlib import Path
 from typing import Literal, get_args
@@ -7,21 +7,21 @@ from clothtrack.errors import InvalidConfigError
 
 Format = Literal["obj", "ply", "glb", "npz", "sheet", "mp4", "rrd"]
 FORMATS: dict[str, Format] = {".npz": "npz", ".png": "sheet", ".mp4": "mp4", ".rrd": "rrd"}
-"""The formats that are one file, by how its name ends."""
+"""The formats that are one file, by suffix."""
 FOLDERS: tuple[Format, ...] = ("obj", "ply", "glb")
 """The formats that are a folder with one file per frame."""
 
 
 def export_format(output: Path, wanted: str | None = None) -> Format:
-    """The format of an exported file or folder.
+    """Return the format of an exported file or folder.
 
     Args:
         output: its name. Without a suffix it is a folder of OBJ files, unless another format is
             wanted, whose suffix is added then.
-        wanted: the format that was named.
+        wanted: the requested format.
 
     Raises:
-        InvalidConfigError: there is no such format, or the suffix is of another one, or of none.
+        InvalidConfigError: the format is unknown, or the suffix belongs to another one or to none.
     """
     if wanted is not None:
         _named(wanted)
@@ -32,7 +32,7 @@ def export_format(output: Path, wanted: str | None = None) -> Format:
             f"{output}: {suffix[1:]} is one file per frame, in a folder; leave out {suffix} and "
             f"add --format {suffix[1:]}"
         )
-    # A folder may be called run.2; a name that ends in letters means a kind of file.
+    # A folder may be called run.2; a suffix of letters means a kind of file.
     if told is None and suffix[1:].isalpha():
         raise InvalidConfigError(
             f"{output}: nothing is exported as {suffix}; end the name in {', '.join(FORMATS)}, or "
@@ -47,7 +47,7 @@ def export_format(output: Path, wanted: str | None = None) -> Format:
 
 
 def _named(wanted: str) -> Format:
-    """The format of a name."""
+    """Return the format of a name."""
     for one in get_args(Format):
         if one == wanted:
             return one

@@ -21,13 +21,13 @@ _PLACE = re.compile(r"(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)")
 
 @dataclass(frozen=True)
 class GarmentTemplate:
-    """A garment's template, and what is known of it.
+    """A garment's template with its measures.
 
     Attributes:
         template: its mesh [m], its measures and the named stretches of its outline.
-        kind: what it is.
-        output: the file.
-        as_it_lies: whether both halves were to be left as they lie.
+        kind: kind of garment.
+        output: the written file.
+        as_it_lies: whether both halves were left as they lie on request.
     """
 
     template: "FlatTemplate"
@@ -47,7 +47,7 @@ class GarmentTemplate:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What may be wrong, and what to do about it."""
+        """Possible problems, with remedies."""
         found = []
         if self.kind not in ("towel", "trousers") and not self.template.neck_seen:
             found.append(
@@ -61,7 +61,7 @@ class GarmentTemplate:
         return tuple(found)
 
     def text(self) -> str:
-        """Return its size and lengths, and where it lies."""
+        """Return its size, its lengths and its path."""
         measures = self.template.measures
         lengths = ", ".join(
             f"{name.removesuffix('_m').replace('_', ' ')} {100 * value:.1f}"
@@ -76,7 +76,7 @@ class GarmentTemplate:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the same as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         return {
             "template": str(self.output),
             "outline": str(_outline_path(self.output)),
@@ -106,26 +106,26 @@ def garment_template(
 ) -> GarmentTemplate:
     """Make a garment's template mesh from a picture of it lying flat, its front up.
 
-    Writes TEMPLATE.outline.png beside it: look at it before you use the template.
+    It also writes TEMPLATE.outline.png: check that picture before you use the template.
 
     Args:
         picture: a recording, a 16-bit depth PNG, or a color or mask PNG from straight above.
-        kind: what it is.
+        kind: kind of garment.
         output: template to write: .npz, or .obj with its canonical coordinates beside it.
-        vertex_count: about how many.
-        mask: picture of where the garment is, for a PNG.
-        meters_per_pixel: on the table, for a color or mask PNG.
+        vertex_count: approximate number of vertices.
+        mask: mask picture of the garment, for a PNG.
+        meters_per_pixel: scale on the table, for a color or mask PNG.
         depth_unit_m: meters per unit of a depth PNG; 0.001 if not given.
         focal: focal length of a depth PNG's camera [pixels]; 0.94 of its width if not given.
-        frame: of a recording; the first by default.
+        frame: frame of a recording; the first by default.
         front_neck_m: how deep the front's neck is cut [m]; a tenth of the length if not given.
-        openings: where they end, when the guess is wrong: COLUMN,ROW of both ends of hem, cuff,
+        openings: ends of the openings, if the guess is wrong: COLUMN,ROW of both ends of hem, cuff,
             neck, cuff, or of waist, cuff, cuff, once around the garment.
         as_it_lies: leave both halves as they lie; otherwise they are made mirror images.
 
     Raises:
         InvalidRecordingError: the picture cannot be read or does not show such a flat garment.
-        InvalidConfigError: an option is wrong, or means nothing for such a picture.
+        InvalidConfigError: an option is wrong or does not apply to such a picture.
     """
     import numpy as np
 
@@ -170,7 +170,7 @@ def garment_template(
 
 
 def _places(openings: Sequence[str]) -> list[tuple[float, float]]:
-    """Pixels of the ends of openings."""
+    """Return the pixels of the ends of openings."""
     places = []
     for text in openings:
         match = _PLACE.fullmatch(text)
@@ -181,7 +181,7 @@ def _places(openings: Sequence[str]) -> list[tuple[float, float]]:
 
 
 def _outline_path(output: Path) -> Path:
-    """Where the outline over the picture is written, beside a template."""
+    """Return the path, beside a template, of the picture with its outline."""
     return output.with_suffix(".outline.png")
 
 
@@ -190,7 +190,7 @@ def _named(**options: object) -> dict[str, object]:
 
 
 def _refuse(options: dict[str, object], why: str) -> None:
-    """Refuse options that would mean nothing here, rather than leave them out silently."""
+    """Refuse options that do not apply here instead of ignoring them."""
     if options:
         names = " and ".join(f"--{name.removesuffix('_m').replace('_', '-')}" for name in options)
         raise InvalidConfigError(f"{names}: {why}; leave it out")

@@ -1,4 +1,4 @@
-"""Look through artifacts: is it readable, is it still what was written, what is wrong with it?"""
+"""Inspection of artifacts: whether they are readable and unchanged, and what is wrong."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,16 +19,16 @@ def inspect_many(
     suggest: Path | str | None = None,
     progress: "Progress | None" = None,
 ) -> "Many[Inspection | Verification]":
-    """Is it readable, and still what was written? What is in it, what is wrong with it?
+    """Check that artifacts are readable and unchanged, and list what is wrong.
 
-    Of a recording: what it holds, what is wrong with it, and which of its geometry its own pictures
-    contradict. Of everything else one line: ok, or what is damaged. Checksums are compared where
-    there are some, and everything is read. Exit code 1: something is wrong.
+    For a recording, report what it holds, what is wrong, and which of its geometry its own pictures
+    contradict. For everything else, report one line: ok, or what is damaged. Everything is read,
+    and checksums are compared where they exist. The exit code is 1 if something is wrong.
 
     Args:
         artifacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
             (.safetensors), folders of states or of the benchmark.
-        suggest: folder that gets a copy of the recording, with what is doubtful corrected where
+        suggest: folder for a copy of the recording in which doubtful values are corrected where
             that can be computed; the recording itself stays as it is.
         progress: called with how much is done.
 
@@ -52,11 +52,11 @@ def inspect_many(
 
 
 def _is_recording(path: Path) -> bool:
-    """Whether it is a recording; a folder without any sign is taken for one."""
+    """Return whether it is a recording; a folder that shows no sign of its kind counts as one."""
     if path.suffix in (".zarr", ".npz", ".safetensors"):
         return False
     try:
         return not any(one.is_file() for one in (path, path / "bench.json", path / "states.json"))
     except OSError:
-        # Whoever reads it says that it may not be read.
+        # Its reader reports the error.
         return True

@@ -29,10 +29,10 @@ TERMINATED = 143
 
 @dataclass(frozen=True)
 class Training:
-    """How a training ended.
+    """The outcome of a training.
 
     Attributes:
-        outcome: of each stage, and the weights.
+        outcome: outcome of each stage, and the weights.
     """
 
     outcome: "LearningOutcome"
@@ -50,7 +50,7 @@ class Training:
         return TERMINATED if self.doubts else 0
 
     def text(self) -> str:
-        """Return a line for each stage, and where the weights are."""
+        """Return a line per stage, and the path of the weights."""
         lines = [
             f"{name}  {stage.status} after {stage.steps} steps; best held-out error "
             f"{stage.best_score:.4g} {stage.unit} after {stage.best_step}"
@@ -60,7 +60,7 @@ class Training:
         return "\n".join(lines if model is None else [*lines, str(model)])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the same as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         return asdict(self.outcome)
 
 
@@ -74,19 +74,19 @@ def label(
 ) -> Path:
     """Write the pseudo-labels of a run, for `clothtrack finetune` (needs the extra [learn]).
 
-    The first frame and the end of every action, all alike. Labels that were rejected (`view`) or
-    that nothing was seen to judge by are left out.
+    The labels are the first frame and the end of every action, all treated alike. Labels that were
+    rejected (`view`) are left out, and so are those without an observation to judge them by.
 
     Args:
         run: what `track` or `load` returned, or NAME.zarr.
         output: file to write, NAME.labels.npz.
-        garment: what it is, where the recording does not say or says otherwise.
+        garment: kind of garment, if the recording does not give it or gives another.
         device: "cpu" or "cuda:0", for visibility.
         provenance: stored with the labels, beside that of the run.
 
     Raises:
         InvalidResultError: the mesh has no canonical coordinates.
-        InvalidConfigError: what garment it is is not known.
+        InvalidConfigError: the kind of garment is not known.
     """
     require_learning()
     from clothtrack.api.look import review_of
@@ -148,11 +148,11 @@ def pretrain(
     seed: int = 0,
     progress: "Progress | None" = None,
 ) -> Training | None:
-    """Train the network on simulated states (`simulate --states`), from nothing or further.
+    """Train the network on simulated states (`simulate --states`), from scratch or from weights.
 
-    The same command goes on where an interrupted one stopped, to the same bits. The token network
-    learns for as long as it is given time; folders of states may be added then. Its rate falls
-    once, at the end: --set tokens.fall_examples=100000. Several processes or GPUs:
+    The same command resumes an interrupted training, bit for bit. The token network trains for as
+    long as it is given time; folders of states may be added when it resumes. Its learning rate
+    falls once, at the end: --set tokens.fall_examples=100000. Several processes or GPUs:
     torchrun --nproc-per-node N --module clothtrack.cli pretrain ... --device cuda
 
     Args:
@@ -162,10 +162,10 @@ def pretrain(
             size for two processor cores (small) or as published (reference).
         start: model.safetensors to begin with; a token network may have fewer layers and
             hypotheses, a published one is of the same garment and sizes.
-        hours: of wall time after which the token network's training pauses.
+        hours: wall time [hours] after which the training of the token network pauses.
         settings: changes, such as tokens.high_rate=5e-4 or network.width=192.
         device: where to compute: cpu, or cuda:0.
-        seed: of weights, order, cameras and noise.
+        seed: random seed of weights, order, cameras and noise.
         progress: called after every step.
 
     Raises:
@@ -194,7 +194,7 @@ def finetune(
     seed: int = 0,
     progress: "Progress | None" = None,
 ) -> Training | None:
-    """Train a network further on pseudo-labels, held-out trajectories deciding when to stop.
+    """Fine-tune a network on pseudo-labels; held-out trajectories decide when to stop.
 
     Args:
         weights: model.safetensors to begin with.
@@ -204,7 +204,7 @@ def finetune(
             2,000 epochs.
         settings: changes, such as tokens.high_rate=1e-4.
         device: where to compute: cpu, or cuda:0.
-        seed: of order and augmentation.
+        seed: random seed of order and augmentation.
         progress: called after every step.
 
     Raises:
@@ -237,7 +237,7 @@ def finetune(
 def _learn(
     learn: "Callable[..., LearningOutcome]", device: str, progress: "Progress | None"
 ) -> Training | None:
-    """Learn with the processes that there are; one of them says how it went, the others None."""
+    """Train with the processes of this run; one returns the outcome, the others None."""
     from clothtrack.reconstruction.training.processes import joined
 
     with joined(device) as processes:
@@ -267,21 +267,21 @@ def reconstruct(
     Args:
         picture: a 16-bit depth PNG of a camera that looks down on a table, or a recording; in
             Python also the depth [m] itself, 0 where nothing was measured.
-        garment: what it is; must be said for a PNG, unless a template says so.
+        garment: kind of garment; required for a PNG unless a template gives it.
         output: mesh file to write: .obj, .ply or .stl [m], table at z = 0 for a PNG. The command
             line writes out/NAME.obj by default, Python nothing.
-        size_m: width and length of the flat garment [m]; several are tried where nobody says. Of
-            trousers it also says whether they are short.
+        size_m: width and length of the flat garment [m]; several are tried if it is not given. For
+            trousers it also tells whether they are short.
         template: the flat garment itself, instead of a size.
-        weights: model.safetensors; the ones that come with clothtrack by default.
-        refined: fine-tune the mesh to the picture.
-        frame: of a recording; the first by default.
-        mask: picture of where the cloth is, for a PNG; else what stands out of the table.
+        weights: model.safetensors; those shipped with clothtrack by default.
+        refined: fit the mesh to the picture.
+        frame: frame of a recording; the first by default.
+        mask: mask picture of the cloth, for a PNG; by default, what stands out of the table.
         depth_unit_m: meters per unit of a PNG; 0.001 if not given.
         focal: focal length of a PNG's camera [pixels]; 0.94 of its width if not given.
-        table_distance_m: from a PNG's camera, looking straight down, to the table [m]; if not
-            given, the table's plane is fitted to the depth.
-        force: replace the mesh file that is there.
+        table_distance_m: distance from a PNG's camera, looking straight down, to the table [m]; if
+            not given, the table's plane is fitted to the depth.
+        force: replace an existing mesh file.
         device: where to compute: cpu, or cuda:0.
 
     Returns:
@@ -289,8 +289,8 @@ def reconstruct(
 
     Raises:
         InvalidRecordingError: the picture cannot be read or shows no cloth.
-        InvalidConfigError: what garment it is is not known, an option means nothing for such a
-            picture, there is no such device, or the file is there already.
+        InvalidConfigError: the kind of garment is not known, an option does not apply to such a
+            picture, there is no such device, or the file exists already.
         InvalidResultError: weights are missing, or no mesh was found.
     """
     require_learning()
@@ -317,7 +317,7 @@ def reconstruct(
 
 
 def default_mesh(picture: Path, frame: int | None = None) -> Path:
-    """Where the command line writes the mesh of a picture, or of a recording's frame."""
+    """Return where the command line writes the mesh of a picture or of a recording's frame."""
     name = picture.resolve().name if picture.is_dir() else picture.stem
     return Path("out") / (f"{name}.obj" if frame is None else f"{name}_{frame:06d}.obj")
 
@@ -376,7 +376,7 @@ def _depth_input(
     frame: int | None,
     of_picture: Mapping[str, Any],
 ) -> "DepthInput":
-    """The depth, and what is known of its camera and its garment."""
+    """Return the depth, and what is known of its camera and its garment."""
     from clothtrack.reconstruction import depth_input
 
     options = {name: value for name, value in of_picture.items() if value is not None}
@@ -390,7 +390,7 @@ def _depth_input(
 
 
 def _kind_of(flat: "ClothMesh | None") -> Garment | None:
-    """What a template is: of two layers, or of one."""
+    """Return the kind of a template: T-shirt for two layers, towel for one."""
     import numpy as np
 
     if flat is None or flat.canonical is None:
@@ -410,7 +410,7 @@ def _kind(garment: str | None, source: str) -> Garment:
 
 
 def _refuse(options: Mapping[str, object], why: str) -> None:
-    """Refuse options that would mean nothing here, rather than leave them out silently."""
+    """Refuse options that do not apply here instead of ignoring them."""
     if options:
         names = " and ".join(f"--{name.removesuffix('_m').replace('_', '-')}" for name in options)
         raise InvalidConfigError(f"{names}: {why}; leave it out")

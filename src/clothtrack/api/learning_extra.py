@@ -1,4 +1,4 @@
-"""What learning needs beyond tracking: the extra [learn]. Nothing is loaded to find out."""
+"""The check for the extra [learn], which learning needs; it imports nothing."""
 
 from clothtrack.files.extras import require_extra
 from clothtrack.reconstruction.availability import EXTRA
@@ -8,6 +8,6 @@ def require_learning() -> None:
     """Check that the extra [learn] is installed.
 
     Raises:
-        InvalidConfigError: with the command that installs it.
+        InvalidConfigError: it is missing; the message has the command that installs it.
     """
     require_extra("learn", EXTRA, "learning")

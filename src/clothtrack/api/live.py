@@ -1,4 +1,4 @@
-"""The whole cloth while it moves: from a driver's pictures, or from a recording that is played."""
+"""Live tracking of the whole cloth, from a driver's pictures or from a played recording."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,14 +18,14 @@ from clothtrack.tracking.protocols import Watch
 
 
 class LiveTracker(live_tracker.LiveTracker):
-    """Tracks one cloth while it moves: the full mesh, hidden layers included, at every picture.
+    """A tracker of one moving cloth: the full mesh, hidden layers included, at every picture.
 
     Call `update` with every picture, in order. An action begins with the first picture in which a
-    picker is closed and ends 0.2 s after all have opened; between actions the mesh rests.
-    `begin_action` and `end_action` say it instead, where no gripper does. Candidates are searched
-    beside the stream (`settings=["search.method=none"]`: never); where no picture is missing, what
-    comes of a recording is what `track` makes of it. `close` waits for the searches, and gives a
-    `Run`.
+    picker is closed and ends 0.2 s after all have opened; between actions the mesh rests. Without a
+    gripper, call `begin_action` and `end_action` instead. The search for candidates runs in
+    parallel with the stream; `settings=["search.method=none"]` turns it off. If no picture is
+    missing, the result for a recording is that of `track`. `close` waits for the searches and
+    returns a `Run`.
     """
 
     def __init__(
@@ -44,15 +44,15 @@ class LiveTracker(live_tracker.LiveTracker):
         keep_pictures: bool = False,
         force: bool = False,
     ) -> None:
-        """Load and warm everything that the first picture needs; a second or two.
+        """Load and warm up everything that the first picture needs; this takes a second or two.
 
         Args:
-            cloth: its template in the world [m], its kind, or all that is known of it. Its color, a
-                mask with each picture, the table or a segmenter tell it from the rest.
+            cloth: its template in the world [m], its kind, or its full description. Its color, a
+                mask with each picture, the table or a segmenter distinguishes it from the rest.
             camera: intrinsics, and the pose in the world.
-            table: the plane that the cloth lies on, or None when it hangs. "find": what most of the
-                first picture that is not cloth lies on; a camera without a pose (the identity) then
-                gives the world, too: z up, the table at z = 0, and `camera` has its pose.
+            table: the plane that the cloth lies on, or None when it hangs. "find": the plane of
+                most of the first picture outside the cloth; a camera without a pose (the identity)
+                then defines the world, too: z up, the table at z = 0, and `camera` has its pose.
             mode: one of `MODES`.
             settings: changes to the configuration, such as "color=false".
             config: the whole configuration, in place of a mode.
@@ -60,9 +60,9 @@ class LiveTracker(live_tracker.LiveTracker):
             device: "cpu" or "cuda:0".
             watch: called with each mesh: the recording so far, the flat mesh, the frame and the
                 vertices [m].
-            name: of what is tracked.
-            keep_pictures: keep all of them in memory, some 60 MB a second, and not only those where
-                actions begin and end.
+            name: name of the run.
+            keep_pictures: keep all pictures in memory, some 60 MB per second, instead of only those
+                where actions begin and end.
             force: track although the first mesh lies more than 2 cm (rms) from its cloud.
 
         Raises:
@@ -81,10 +81,11 @@ class LiveTracker(live_tracker.LiveTracker):
         )  # fmt: skip
 
     def close(self, recording: Recording | None = None) -> Run:
-        """End an action that is under way, and return what was tracked, with its verdict.
+        """End an action in progress, and return the run with its verdict.
 
         Args:
-            recording: what was played, frame by frame, where it was one; what was seen by default.
+            recording: the recording that was played, frame by frame, if any; by default, the
+                pictures received.
 
         Raises:
             InvalidConfigError: there was no picture.

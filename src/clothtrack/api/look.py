@@ -1,4 +1,4 @@
-"""Look at a run, a recording or a mesh, and write a run for other programs."""
+"""View a run, a recording or a mesh, and export a run for other programs."""
 
 import logging
 from collections import Counter
@@ -33,11 +33,11 @@ _VIEWED = (
 
 @dataclass(frozen=True)
 class Page:
-    """What `view` has written.
+    """The page that `view` has written.
 
     Attributes:
         page: the page, or the index of a folder.
-        reports: of a folder: the report of each trajectory; None where there is none.
+        reports: for a folder, the report of each trajectory; None where there is none.
     """
 
     page: Path
@@ -45,15 +45,15 @@ class Page:
 
     @property
     def exit_code(self) -> int:
-        """1 where no trajectory of a folder has a report."""
+        """1 if no trajectory of a folder has a report."""
         return 1 if self.reports is not None and not any(self.reports) else 0
 
     def text(self) -> str:
-        """Return where the page is."""
+        """Return the path of the page."""
         return str(self.page)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the same as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         return {"page": self.page} | ({} if self.reports is None else {"reports": self.reports})
 
 
@@ -66,28 +66,28 @@ def view(
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
 ) -> Page | None:
-    """Look at a tracked trajectory, a folder of them, a recording, or a mesh.
+    """View a tracked trajectory, a folder of them, a recording, or a mesh.
 
-    The page is served to a browser on this machine until Ctrl-C, or with --html written to a file
-    that needs no network. In the page of a trajectory A accepts and R rejects the label of an
-    action; the served page saves that beside the trajectory, in NAME.review.json.
+    The page is served to a browser on this machine until Ctrl-C; with --html it is written to a
+    file that needs no network. On the page of a trajectory, the keys A and R accept and reject the
+    label of an action; the served page saves this beside the trajectory, in NAME.review.json.
 
     Args:
         thing: NAME.zarr that `track` wrote, a folder of them, a recording, or an OBJ, PLY or STL
             file; in Python also a run, a recording or a mesh itself.
-        recordings: for trajectories: the recording, or the folder in which recordings lie by name;
-            by default it is looked for as by `load`.
-        truth: truth file, or the folder in which NAME.npz lie; colors the error against it.
-        html: write one self-contained page here instead of serving; of a folder of trajectories,
+        recordings: for trajectories: the recording, or the folder that contains recordings by name;
+            by default it is searched as by `load`.
+        truth: truth file, or the folder that contains NAME.npz; colors the error against it.
+        html: write one self-contained page here instead of serving; for a folder of trajectories,
             the index, with the reports beside it.
         progress: called for each trajectory of a folder.
-        opened: called with the page's address; by default standard error says it.
+        opened: called with the page's address; by default it goes to standard error.
 
     Returns:
-        Where the page is, if it was written to a file.
+        The page, if it was written to a file.
 
     Raises:
-        InvalidConfigError: there is nothing to look at, or the truth is of nothing tracked.
+        InvalidConfigError: there is nothing to view, or the truth is for something not tracked.
         InvalidRecordingError: the recording is not known.
         InvalidResultError: the run or the decisions about its labels cannot be read.
     """
@@ -116,7 +116,7 @@ def _shown(
     recordings: "Recording | Path | str | None",
     truth: "Truth | Path | str | None",
 ) -> tuple[str, Callable[[Path], Path], Any]:
-    """The name of one thing, what writes its page, and the decisions that it takes."""
+    """Return the name of one artifact, the function that writes its page, and its decisions."""
     from clothtrack.api.reconstructed_mesh import ReconstructedMesh
     from clothtrack.api.run import recording_of, truth_of
     from clothtrack.geometry.mesh import ClothMesh
@@ -147,7 +147,7 @@ def _shown(
 
 
 def _require_file_name(html: Path) -> None:
-    """Refuse a page under the name of a folder before any work is done.
+    """Refuse a page that has the name of a folder, before any work is done.
 
     Raises:
         InvalidConfigError: there is such a folder.
@@ -159,7 +159,7 @@ def _require_file_name(html: Path) -> None:
 def write_report(
     run: "Run", html: Path | str, *, truth: "Truth | Path | str | None" = None
 ) -> Path:
-    """Write the page of a run, which needs no network, and return where it is.
+    """Write the page of a run, which needs no network, and return its path.
 
     Args:
         run: what `track` or `load` returned.
@@ -186,21 +186,21 @@ def export(
 
     Args:
         run: NAME.zarr that `track` wrote; in Python also a run itself.
-        output: file, whose name says the format (.npz, .png, .mp4, .rrd), or folder (obj, ply,
+        output: file, whose suffix gives the format (.npz, .png, .mp4, .rrd), or folder (obj, ply,
             glb: one file per frame).
         format: obj, ply, glb or npz: the meshes; sheet: a contact sheet as PNG; mp4: the mesh over
-            the observation; rrd: everything for Rerun's viewer, needs the extra [rerun]; what the
-            output's name says by default, and obj where it says nothing.
-        recordings: for sheet, mp4 and rrd: the recording, or the folder in which it lies by name;
-            by default it is looked for as by `load`.
-        truth: for rrd: truth file, or the folder in which NAME.npz lie.
-        rows: frames on the sheet.
+            the observation; rrd: everything for Rerun's viewer, needs the extra [rerun]; by default
+            the format of the output's suffix, or obj without a suffix.
+        recordings: for sheet, mp4 and rrd: the recording, or the folder that contains it by name;
+            by default it is searched as by `load`.
+        truth: for rrd: truth file, or the folder that contains NAME.npz.
+        rows: number of frames on the sheet.
 
     Returns:
-        Where it is.
+        Path of the export.
 
     Raises:
-        InvalidConfigError: there is no such format, it contradicts the suffix, or there is no row.
+        InvalidConfigError: the format is unknown or contradicts the suffix, or there is no row.
         InvalidRecordingError: pictures need the recording, and it is not known.
     """
     if rows < 1:
@@ -217,7 +217,7 @@ def export(
 
 
 def review_of(run: "TrackedTrajectory") -> "LabelReview":
-    """What was decided about the labels of a run; nothing yet where it does not lie on disk.
+    """Return the decisions about the labels of a run; a blank review if it is not on disk.
 
     Raises:
         InvalidResultError: the decisions are damaged, or about other meshes.
@@ -257,7 +257,7 @@ def _opened(
 
 
 def _nothing_to_view(path: Path) -> str:
-    """What `view` takes, what lies there instead, and what may have been meant."""
+    """Return what `view` takes, what the path is instead, and what may be meant."""
     from clothtrack.recordings.mesh_file import READ_SUFFIXES
 
     if not path.exists():
@@ -284,7 +284,7 @@ def _say_address(address: str) -> None:
 
 
 def _trajectories(thing: object) -> list[Path]:
-    """The trajectories of a folder; none of anything else."""
+    """Return the trajectories of a folder; for anything else, an empty list."""
     if not isinstance(thing, Path | str) or (Path(thing) / "recording.json").exists():
         return []
     return sorted(Path(thing).glob("*.zarr"))
@@ -311,7 +311,7 @@ def _write_folder(
     index: Path,
     progress: "Progress | None",
 ) -> Page:
-    """Reports of all, and an index; a trajectory that cannot be shown is a line that says why."""
+    """Write all reports and an index; a trajectory that cannot be shown gets a line saying why."""
     from clothtrack.report.artifact_pages import write_index
 
     entries = []
@@ -337,7 +337,7 @@ def _serve_folder(
     opened: Callable[[str], None],
     progress: "Progress | None",
 ) -> None:
-    """An index and the reports, each written when somebody looks at it; the folder stays clean."""
+    """Serve an index and the reports, each made when it is opened; nothing stays in the folder."""
     from clothtrack.evaluation.label_review import review_path
     from clothtrack.report.artifact_pages import write_index
     from clothtrack.report.live import Decisions, Report, serve_folder
@@ -365,7 +365,7 @@ def _serve_folder(
 def _entry(
     path: Path, recordings: "Recording | Path | str | None", folder: Path
 ) -> "tuple[IndexEntry, Run | None]":
-    """The line of a trajectory in an index, and the run where it can be read."""
+    """Return the line of a trajectory in an index, and its run if it can be read."""
     from clothtrack.api.run import load, recording_of
     from clothtrack.report.artifact_pages import IndexEntry, summary_of
 

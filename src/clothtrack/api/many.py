@@ -1,4 +1,4 @@
-"""Label and evaluate many tracked trajectories, in several processes or by Ray."""
+"""Label and evaluate many tracked trajectories, in several processes or with Ray."""
 
 import json
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ class Evaluations:
     """The measures of many trajectories.
 
     Attributes:
-        each: of each trajectory, in order.
+        each: measures of each trajectory, in order.
         all_measures: whether the text has every measure, in wide rows.
     """
 
@@ -35,7 +35,7 @@ class Evaluations:
         return (table if self.all_measures else summary)(self.each)
 
     def as_dict(self) -> list[dict[str, Any]]:
-        """Return the measures as JSON holds them."""
+        """Return the measures as JSON-compatible values."""
         from clothtrack.evaluation.results import as_plain
 
         return [as_plain(one) for one in self.each]
@@ -48,7 +48,7 @@ class LabelFile:
     Attributes:
         labels: the file.
         frames: frames of the recording that have a label.
-        rejected: how many were left out after a review.
+        rejected: number of labels left out after a review.
     """
 
     labels: Path
@@ -61,7 +61,7 @@ class LabelFile:
         return f"{self.labels}   {len(self.frames)} labels{left_out}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the same as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         return {**asdict(self), "labels": str(self.labels)}
 
 
@@ -82,19 +82,19 @@ def label_many(
 
     Args:
         tracked: NAME.zarr folders that `track` wrote.
-        output: folder that gets one NAME.labels.npz per trajectory; those that are there from the
-            same trajectory, review and options are kept.
-        recordings: the recording, or the folder in which recordings lie by name; by default it is
-            looked for beside NAME.zarr and in recordings/ beside its folder.
-        garment: what it is, where the recording does not say or says otherwise.
-        workers: processes.
-        ray: address of Ray, which is to do it; 'local' for this machine.
+        output: folder for one NAME.labels.npz per trajectory; existing files made from the same
+            trajectory, review and options are kept.
+        recordings: the recording, or the folder that contains recordings by name; by default it is
+            searched beside NAME.zarr and in recordings/ beside its folder.
+        garment: kind of garment, if the recording does not give it or gives another.
+        workers: number of processes.
+        ray: address of Ray, to run the work there; 'local' for this machine.
         device: where to compute: cpu, or cuda:0.
         progress: called first, and after each trajectory.
 
     Raises:
         InvalidConfigError: two trajectories have one name, or another run writes to `output`.
-        ClothTrackError: one cannot be labeled, after all others; or a worker died.
+        ClothTrackError: a trajectory cannot be labeled (raised after all others), or a worker died.
     """
     from clothtrack.api.learning import require_learning
 
@@ -138,21 +138,21 @@ def evaluate_many(
 
     Args:
         tracked: NAME.zarr folders that `track` wrote.
-        recordings: the recording, or the folder in which recordings lie by name; by default it is
-            looked for beside NAME.zarr and in recordings/ beside its folder.
-        truth: truth file, or the folder in which NAME.npz lie.
+        recordings: the recording, or the folder that contains recordings by name; by default it is
+            searched beside NAME.zarr and in recordings/ beside its folder.
+        truth: truth file, or the folder that contains NAME.npz.
         output: also write all measures to this JSON file. Beside it, a hidden folder keeps those of
-            each trajectory, so that an interrupted run goes on.
+            each trajectory, so that an interrupted run can resume.
         all: show every measure, before and after the final alignment, in wide rows.
-        workers: processes.
-        ray: address of Ray, which is to do it; 'local' for this machine.
+        workers: number of processes.
+        ray: address of Ray, to run the work there; 'local' for this machine.
         device: where to compute: cpu, or cuda:0.
-        seed: of surface samples.
+        seed: random seed of surface samples.
         progress: called first, and after each trajectory.
 
     Raises:
         InvalidConfigError: another run writes to `output`.
-        ClothTrackError: one cannot be measured, after all others; or a worker died.
+        ClothTrackError: one cannot be measured (raised after all others), or a worker died.
     """
     from clothtrack.api.work import Measuring, Source
     from clothtrack.evaluation.results import as_plain

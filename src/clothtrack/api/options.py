@@ -1,4 +1,4 @@
-"""Types of arguments that several verbs share, with what the command line calls them."""
+"""Types of arguments that several verbs share, with their names on the command line."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ Settings = Annotated[Sequence[str], arg(name="set", metavar="NAME=VALUE"), UseAp
 
 
 def configured_by(make: Callable[..., Any]) -> Callable[[Function], Function]:
-    """Say which function makes the configuration that the `settings` of another one change.
+    """Declare which function makes the configuration that the `settings` of another one change.
 
     The command line lists that configuration with --show-settings.
 
@@ -35,11 +35,11 @@ def configured_by(make: Callable[..., Any]) -> Callable[[Function], Function]:
 
 
 def require_file(path: Path | str | None, kind: str) -> None:
-    """Refuse a file that is not there.
+    """Refuse a missing file.
 
     Args:
         path: its name, if one was given.
-        kind: what it is, such as "weights".
+        kind: kind of file, such as "weights".
 
     Raises:
         InvalidConfigError: naming the file.

@@ -1,4 +1,4 @@
-"""Play a recording as if its camera were on now: the verb `live`."""
+"""Play a recording as if its camera were live: the verb `live`."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -27,27 +27,27 @@ def play_live(
     device: str = "cpu",
     opened: "Callable[[str], None] | None" = None,
 ) -> Result:
-    """Track a recording at the speed of its clock, as if its camera were on now.
+    """Track a recording at the speed of its clock, as if its camera were live.
 
-    A page on this machine shows the mesh over what is seen, its latency, and which part of the
-    cloth is lost. Pictures that come while an older one is tracked are dropped, but for the newest.
-    Actions are searched beside the stream. The last lines say how long pictures took, and what the
-    result deserves.
+    A page on this machine shows the mesh over the observation, its latency, and which part of the
+    cloth is lost. Pictures that arrive while an older one is tracked are dropped, except the
+    newest. The search for each action runs in parallel. The last lines give the latency and the
+    verdict on the result.
 
     Args:
         recording: a recording folder.
-        output: folder that gets NAME.zarr; one that is there is refused.
+        output: folder for NAME.zarr; an existing one is refused.
         mode: our default, the paper's method, or its dynamics alone.
         template: the garment's own mesh (`clothtrack garment`), laid on the flat cloth of the first
-            picture; the recording's, or a fit, by default.
-        weights: of the network that makes the first mesh of a recording without a template.
+            picture; by default the recording's template, or a fit.
+        weights: weights of the network that makes the first mesh of a recording without a template.
         settings: changes to the mode, such as color=false.
         device: where to compute: cpu, or cuda:0.
-        opened: called with the address of the page; without it there is none.
+        opened: called with the address of the page; without it there is no page.
 
     Raises:
-        InvalidConfigError: an argument is wrong, or the result is there already.
-        InvalidRecordingError: the recording cannot be used, or the first mesh lies beside it.
+        InvalidConfigError: an argument is wrong, or the result exists already.
+        InvalidRecordingError: the recording cannot be used, or the first mesh is not on its cloud.
         StorageError: the disk refuses.
     """
     from clothtrack.api.live import LiveTracker
@@ -100,7 +100,7 @@ def play_live(
 
 
 def _lost(state: "LiveState", recording: "Recording") -> str:
-    """Which part of the cloth lies away from what was seen, in words."""
+    """Return in words which part of the cloth is away from the observation."""
     from clothtrack.evaluation.places import place_of
 
     if not state.lost.any():

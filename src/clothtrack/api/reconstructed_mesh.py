@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReconstructedMesh(ClothMesh):
-    """A mesh from one picture. It is a `ClothMesh`: whatever takes one takes it.
+    """A mesh from one picture, which can be used as any `ClothMesh`.
 
     Attributes:
-        network: how it came about.
-        picture: what it was made from, with its garment.
+        network: the result of the network.
+        picture: the input picture, with its garment.
         asked: whether the garment's size was given.
-        path: where it was written; None when it was not.
+        path: where it was written; None if it was not.
     """
 
     network: "NetworkMesh" = None  # pyright: ignore[reportAssignmentType]
@@ -37,7 +37,7 @@ class ReconstructedMesh(ClothMesh):
     def of(
         cls, network: "NetworkMesh", picture: "DepthInput", *, asked: bool
     ) -> "ReconstructedMesh":
-        """The mesh of a network's answer that has one."""
+        """Return the mesh of a network's result, which must have one."""
         mesh = network.mesh
         assert mesh is not None
         return cls(
@@ -61,9 +61,9 @@ class ReconstructedMesh(ClothMesh):
 
     @property
     def vertex_bounds_m(self) -> "Float[np.ndarray, ' vertices'] | None":
-        """How far off each vertex is at most, in nine of ten cases [m].
+        """Error that each vertex stays under in nine of ten cases [m].
 
-        None from a network that does not say how far off it may be.
+        None for a network that does not predict its error.
         """
         return self.network.vertex_bounds_m
 
@@ -74,7 +74,7 @@ class ReconstructedMesh(ClothMesh):
         return agreement_of(self, self.picture)
 
     def text(self) -> str:
-        """Return where it is, how well it fits, what it was taken for, and what it deserves."""
+        """Return its path, how well it fits, the assumed size of the garment, and the verdict."""
         figures, network = self.figures, self.network
         summary = (
             f"{self.path or 'mesh'}   {self.vertex_count} vertices, "
@@ -84,7 +84,7 @@ class ReconstructedMesh(ClothMesh):
             summary += f", expected error {1e3 * figures['expected_error_m']:.0f} mm"
         if network.choices and not self.asked and self.picture.size_m is None:
             width, length = network.choices[0].size_m
-            # The name of a towel is that of the rectangle that the search began with.
+            # A towel's name is only that of the rectangle that the search began with.
             cut = "" if self.picture.kind == "towel" else f"{network.choices[0].cut} of "
             summary += f", taken for {cut}{width:.2f} x {length:.2f} m"
         if network.scale != 1.0:
@@ -95,7 +95,7 @@ class ReconstructedMesh(ClothMesh):
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as JSON holds them."""
+        """Return the figures as JSON-compatible values."""
         return {
             "mesh": None if self.path is None else str(self.path),
             **self.figures,

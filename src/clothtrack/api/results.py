@@ -1,6 +1,6 @@
-"""What comes of a verb: `text()` for a person and `as_dict()` for a program.
+"""Results of verbs: `text()` for a person and `as_dict()` for a program.
 
-`doubts` are lines about what may be wrong, and `exit_code` is what the command line ends with.
+`doubts` are lines about possible problems, and `exit_code` is that of the command line.
 """
 
 from collections.abc import Iterator
@@ -12,13 +12,13 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a verb, in words.
+    """The result of a verb, as text.
 
     Attributes:
-        words: for a person.
-        report: the same as JSON holds it.
-        doubts: what may be wrong, and what to do about it.
-        exit_code: of the command line.
+        words: the text for a person.
+        report: the same as JSON-compatible values.
+        doubts: possible problems, with remedies.
+        exit_code: exit code of the command line.
     """
 
     words: str
@@ -27,42 +27,42 @@ class Result:
     exit_code: int = 0
 
     def text(self) -> str:
-        """Return it for a person."""
+        """Return the text for a person."""
         return self.words
 
     def as_dict(self) -> Any:
-        """Return it as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         return self.report
 
 
 @dataclass(frozen=True)
 class Many(Generic[Item]):
-    """What came of each of many things.
+    """The results of many items.
 
     Attributes:
-        each: what came of each, in order.
+        each: the result of each item, in order.
     """
 
     each: tuple[Item, ...]
 
     def __iter__(self) -> Iterator[Item]:
-        """Give what came of each."""
+        """Iterate over the results."""
         return iter(self.each)
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What may be wrong with any of them."""
+        """Possible problems of all items."""
         return tuple(doubt for one in self.each for doubt in getattr(one, "doubts", ()))
 
     @property
     def exit_code(self) -> int:
-        """1 where something is wrong with one of them."""
+        """1 if something is wrong with one of them."""
         return 0 if all(getattr(one, "ok", True) for one in self.each) else 1
 
     def text(self) -> str:
-        """Return all for a person; nothing of those that only have doubts."""
+        """Return the texts of all items; those that only have doubts have none."""
         return "\n".join(filter(None, (one.text() for one in self.each)))
 
     def as_dict(self) -> list[Any]:
-        """Return all as JSON holds them."""
+        """Return all results as JSON-compatible values."""
         return [one.as_dict() for one in self.each]

@@ -1,4 +1,4 @@
-"""Track a recording, read back what was tracked, and measure it."""
+"""Track a recording, load a run, and evaluate it."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -42,14 +42,14 @@ class Label:
         action: number of the action, from 0.
         frame: frame of the recording.
         positions: vertices after the final alignment [m].
-        expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
-        vertex_errors_m: the error to expect of each vertex [m], larger where the mesh contradicts
-            what was seen.
+        expected_error_mm: expected mean vertex error [mm]; NaN if nothing was observed.
+        vertex_errors_m: expected error of each vertex [m], larger where the mesh contradicts the
+            observation.
         vertex_bounds_m: the error that 90 % of the vertices stay under [m], for each vertex.
     """
 
     def __repr__(self) -> str:
-        """One line, without the positions."""
+        """Return one line, without the positions."""
         return (
             f"Label(action={self.action}, frame={self.frame}, "
             f"expected_error_mm={self.expected_error_mm:.1f}, {len(self.positions)} vertices)"
@@ -71,8 +71,8 @@ class Label:
 class Run(TrackedTrajectory):
     """A tracked trajectory with the recording that it was tracked from.
 
-    It is a `TrackedTrajectory`: whatever takes one takes a run. Of its many attributes these matter
-    most; docs/result_format.md has them all.
+    It can be used as any `TrackedTrajectory`. These are its main attributes; docs/result_format.md
+    has them all.
 
     Attributes:
         positions: vertex positions in the world [m], (frames, vertices, 3).
@@ -81,9 +81,9 @@ class Run(TrackedTrajectory):
         actions: what was found for each pick-and-place: parameters, calibration, held vertices.
         config: every setting of the run.
         provenance: versions, commit, seed, device, and the recording's own provenance.
-        recording: what was tracked; None when it was not found.
-        segmenter: what found the cloth in the pictures, where that was handed in; it is not stored.
-        path: NAME.zarr, where it was saved last or read from; None when it was neither.
+        recording: the tracked recording; None if it was not found.
+        segmenter: the segmenter that the caller gave, if any; it is not stored.
+        path: NAME.zarr, where it was saved last or read from; None if it was neither.
     """
 
     recording: Recording | None = None
@@ -96,7 +96,7 @@ class Run(TrackedTrajectory):
     def of(
         cls, tracked: TrackedTrajectory, recording: Recording | None, path: Path | None = None
     ) -> "Run":
-        """The same trajectory together with its recording, and where it lies on disk."""
+        """Return the trajectory with its recording and its path on disk."""
         values = {field.name: getattr(tracked, field.name) for field in fields(TrackedTrajectory)}
         run = cls(**values, recording=recording)
         if path is not None:
@@ -118,12 +118,12 @@ class Run(TrackedTrajectory):
         self._lies_at(Path(path))
 
     def _lies_at(self, path: Path) -> None:
-        # The only thing of a run that changes: the values of the trajectory stay as they are.
+        # Only the path of a run ever changes; the values of the trajectory stay as they are.
         object.__setattr__(self, "path", path)
 
     @cached_property
     def labels(self) -> tuple[Label, ...]:
-        """The mesh at the end of each action, judged by what was observed.
+        """The mesh at the end of each action, judged by the observation.
 
         Raises:
             InvalidRecordingError: the recording is not known.
@@ -143,8 +143,8 @@ class Run(TrackedTrajectory):
     def verdict(self) -> Verdict:
         """Trust, look or reject, with the reason and all evidence.
 
-        What was stored with the trajectory; a new judgment for one that was tracked before
-        verdicts were stored.
+        It is the verdict stored with the trajectory, or a new one for a trajectory that was tracked
+        before verdicts were stored.
 
         Raises:
             InvalidRecordingError: the recording is not known.
@@ -171,22 +171,22 @@ def track(
     """Track a recording: the full mesh, hidden layers included, at every frame (Algorithm 1).
 
     Args:
-        recording: a folder with recording.json, or a recording that was read.
+        recording: a folder with recording.json, or a `Recording`.
         config: the whole configuration; that of `mode` by default.
         mode: one of `MODES`: our default, the paper's method, or the dynamics alone.
         settings: changes to the configuration, such as "search.method=none".
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colors by default.
-        progress: called after every frame with its place in the work, and how much of the work is
-            done and in all.
+        progress: called after every frame with a description of the step, the amount of work done,
+            and the total.
         force: track although the first mesh lies more than 2 cm (rms) from its cloud, or times are
             not in seconds.
         **parts: replacements for functions of Algorithm 1 (`clothtrack.tracking.Method`): observe,
             calibrate, dynamics, align, line_search, align_last, anchor, at_rest.
 
     Raises:
-        InvalidRecordingError: the recording cannot be used; or the first mesh lies beside its
-            cloud, or times are not in seconds, and `force` is not set.
+        InvalidRecordingError: the recording cannot be used; or, without `force`, the first mesh is
+            not on its cloud or times are not in seconds.
         InvalidConfigError: unknown mode, setting, part or device; or both a config and a mode.
     """
     quiet_warp()
@@ -205,10 +205,10 @@ def track(
 
 
 def run_config(mode: str = "default", settings: Sequence[str] = (), *, seed: int = 0) -> RunConfig:
-    """The configuration of a mode with some settings changed.
+    """Return the configuration of a mode with some settings changed.
 
     Raises:
-        InvalidConfigError: unknown mode or setting, or a mode that a setting names.
+        InvalidConfigError: unknown mode or setting, or a setting that changes the mode.
     """
     config = with_settings(replace(settings_of_mode(mode), seed=seed), settings)
     if config.mode != mode:
@@ -224,13 +224,13 @@ def load(path: Path | str, recording: Recording | Path | str | None = None) -> R
 
     Args:
         path: NAME.zarr.
-        recording: what it was tracked from, or the folder in which recordings lie by name. By
-            default it is looked for beside NAME.zarr, in recordings/ beside its folder, and among
-            those that come with clothtrack.
+        recording: the recording it was tracked from, or the folder that contains recordings by
+            name. By default it is searched beside NAME.zarr, in recordings/ beside its folder, and
+            among those shipped with clothtrack.
 
     Raises:
         InvalidResultError: the run is missing, unfinished, damaged or from another version.
-        InvalidRecordingError: the recording is named, and is missing or unreadable.
+        InvalidRecordingError: the given recording is missing or unreadable.
     """
     path = Path(path)
     tracked = load_tracked(path)
@@ -254,16 +254,15 @@ def evaluate(
     device: str = "cpu",
     seed: int = 0,
 ) -> results.Evaluation:
-    """Measure a run at the end of each action; `print` it to see the table.
+    """Measure a run at the end of each action; `print` the result to see the table.
 
     Args:
         run: what `track` or `load` returned.
-        recording: what it was tracked from; the run's own by default.
-        truth: the true meshes, their NPZ file or the folder in which NAME.npz lie, where somebody
-            knows them.
-        segmenter: finds the cloth in a picture; the recording's own way by default.
+        recording: the recording it was tracked from; the run's own by default.
+        truth: the true meshes if known, their NPZ file, or the folder that contains NAME.npz.
+        segmenter: finds the cloth in a picture; the recording's masks or colors by default.
         device: "cpu" or "cuda:0", for visibility.
-        seed: of surface samples.
+        seed: random seed of surface samples.
 
     Raises:
         InvalidRecordingError: the recording is not known.
@@ -279,7 +278,7 @@ def evaluate(
 def recording_of(
     run: TrackedTrajectory, recording: Recording | Path | str | None = None
 ) -> Recording:
-    """The recording that is named, or the run's own.
+    """Return the given recording, or the run's own.
 
     Raises:
         InvalidRecordingError: neither is known.
@@ -295,7 +294,7 @@ def recording_of(
 
 
 def truth_of(run: TrackedTrajectory, truth: Truth | Path | str | None) -> Truth | None:
-    """The true meshes of a run, or of the file or folder that has them.
+    """Return the true meshes of a run, read from their file or folder if that is given.
 
     Raises:
         InvalidResultError: the file is missing or damaged.
@@ -310,12 +309,12 @@ def _read(recording: Recording | Path | str) -> Recording:
 
 
 def _recording_near(tracked: TrackedTrajectory, path: Path) -> Recording | None:
-    """The recording of a run where one lies by its name and is what was tracked."""
+    """Return the recording near a run that has its name and its digest; None if there is none."""
     folders = [path.parent / tracked.name, path.parent.parent / "recordings" / tracked.name]
     with suppress(ClothTrackError):
         folders.append(shipped_recording(tracked.name))
     for folder in folders:
-        # Another one of its name, or a damaged one, is none that was tracked.
+        # A damaged recording, or another one of the same name, was not tracked.
         with suppress(ClothTrackError):
             recording = read_recording(folder)
             if recording_digest(recording) == tracked.provenance.get(DIGEST_FIELD):

@@ -1,4 +1,4 @@
-"""Track many recordings, or the one that comes with clothtrack."""
+"""Track many recordings, or the one shipped with clothtrack."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrackedRecording:
-    """What became of one recording.
+    """The outcome of tracking one recording.
 
     Attributes:
-        outcome: where the result lies, or why there is none.
-        verdict: what the result deserves; None where there is none.
-        frames_after_last_action: the first and the last of the frames that nothing tracks: their
-            mesh is that of the end of the last action; None where there are none.
+        outcome: path of the result, or why there is none.
+        verdict: verdict on the result; None without a result.
+        frames_after_last_action: first and last of the frames after the last action, which are not
+            tracked and keep its final mesh; None if there are none.
     """
 
     outcome: "Outcome"
@@ -35,7 +35,7 @@ class TrackedRecording:
 
     @classmethod
     def of(cls, outcome: "Outcome") -> "TrackedRecording":
-        """Return what an outcome says, with what its result on disk deserves."""
+        """Return an outcome with the verdict on its result on disk."""
         from clothtrack.api.run import load
 
         if outcome.result is None:
@@ -55,7 +55,7 @@ class TrackedRecording:
         return () if self.ok else (self.outcome.error,)
 
     def text(self) -> str:
-        """Return where the result lies and what it deserves; nothing where there is none."""
+        """Return the path of the result and its verdict; empty without a result."""
         if self.outcome.result is None or self.verdict is None:
             return ""
         lines = [_line(self.outcome), f"  {self.verdict}"]
@@ -72,7 +72,7 @@ class TrackedRecording:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the outcome with its verdict as JSON holds them."""
+        """Return the outcome with its verdict as JSON-compatible values."""
         return {
             **asdict(self.outcome),
             "verdict": self.verdict and self.verdict.as_dict(),
@@ -82,13 +82,13 @@ class TrackedRecording:
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What came of the demo.
+    """The result of the demo.
 
     Attributes:
-        outcome: where the result lies.
-        verdict: what it deserves.
+        outcome: path of the result.
+        verdict: verdict on the result.
         evaluation: its measures.
-        report: the page.
+        report: path of its page.
     """
 
     outcome: "Outcome"
@@ -97,14 +97,14 @@ class Demonstration:
     report: Path
 
     def text(self) -> str:
-        """Return the table of measures, and where everything lies."""
+        """Return the table of measures, and the paths of all results."""
         return (
             f"{self.evaluation}\ntracked  {_line(self.outcome)}\nverdict  {self.verdict}\n"
             f"report   {self.report}   (open it in a browser; it needs no network)"
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the same as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         from clothtrack.evaluation.results import as_plain
 
         evaluation = as_plain(self.evaluation)
@@ -154,29 +154,28 @@ def track_many(
 ) -> Many[TrackedRecording]:
     """Track recordings: the full mesh at every observation (Algorithm 1).
 
-    A trajectory ends with a word: trust, look (at it first), or reject; and the expected error.
+    Each trajectory gets a verdict: trust, look (at it first), or reject; and the expected error.
 
     Args:
         recordings: recording folders.
-        output: folder that gets one NAME.zarr per recording; those that are there are skipped,
-            so that an interrupted run goes on when it is started again. One whose recording has
-            changed since is tracked again.
+        output: folder for one NAME.zarr per recording; existing ones are skipped, so that an
+            interrupted run can be resumed. A recording that has changed since is tracked again.
         mode: our default, the paper's method, or its dynamics alone.
         template: the garment's own mesh (`clothtrack garment`), laid on the flat cloth of the first
-            frame; the recording's, or a fit, by default.
-        weights: of the network that makes the first mesh of a recording without a template; the
-            ones that come with clothtrack by default, and without any a flat garment is fitted.
+            frame; by default the recording's template, or a fit.
+        weights: weights of the network that makes the first mesh of a recording without a template;
+            by default those shipped with clothtrack, and without any a flat garment is fitted.
         settings: changes to the mode, such as search.method=none, or
             initial_state.source=template (network, flat).
-        workers: processes; each tracks one recording at a time.
-        ray: let Ray do it: 'local' with WORKERS processes here, or the address of a cluster, such
-            as auto or ray://HOST:10001; docs/many_machines.md.
+        workers: number of processes; each tracks one recording at a time.
+        ray: run on Ray: 'local' with WORKERS processes here, or the address of a cluster, such as
+            auto or ray://HOST:10001; see docs/many_machines.md.
         device: where to compute: cpu, or cuda:0.
         seed: stored with the result.
-        force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
-        live: show the mesh as it grows, on a page for this machine only; ends with the tracking.
-        progress: called after every frame with its place in the work, and how much of the work is
-            done and in all.
+        force: continue although the first mesh lies more than 2 cm (rms) from its cloud.
+        live: show the tracking as it proceeds, on a page for this machine only; ends with it.
+        progress: called after every frame with a description of the step, the amount of work done,
+            and the total.
         opened: called with the address of that page.
 
     Raises:
@@ -217,7 +216,7 @@ def demo(
     device: str = "cpu",
     progress: "Progress | None" = None,
 ) -> Demonstration:
-    """Track a recording that comes with clothtrack, and write its report.
+    """Track a recording that is shipped with clothtrack, and write its report.
 
     Args:
         output: folder for the tracked trajectory and the report.
@@ -243,6 +242,6 @@ def demo(
 
 
 def _line(outcome: "Outcome") -> str:
-    """Where a result lies, and why it was tracked again or was not."""
+    """Return the path of a result, and why it was skipped or tracked again."""
     again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
     return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)

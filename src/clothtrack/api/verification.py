@@ -1,4 +1,4 @@
-"""Is a file still what was written? Every artifact, told by its content."""
+"""Check that artifacts of every kind are unchanged; the content tells the kind."""
 
 import json
 import re
@@ -30,12 +30,12 @@ _UNSEALED = "has no SHA-256"
 
 @dataclass(frozen=True)
 class Verification:
-    """What was found of one artifact.
+    """The result of checking one artifact.
 
     Attributes:
-        path: where it lies.
-        kind: what it is; empty where nobody can tell.
-        problems: what is wrong with it; empty where all is well.
+        path: its path.
+        kind: kind of artifact; empty if unknown.
+        problems: what is wrong with it; empty if nothing is.
         notes: what was checked, what it holds.
     """
 
@@ -50,15 +50,15 @@ class Verification:
         return not self.problems
 
     def text(self) -> str:
-        """The same as `str`."""
+        """Return the same as `str`."""
         return str(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as JSON holds it."""
+        """Return the same as JSON-compatible values."""
         return {**asdict(self), "path": str(self.path), "ok": self.ok}
 
     def __str__(self) -> str:
-        """One line: the path; ok, damaged or not known; and what was found."""
+        """Return one line: the path; ok, damaged or not known; and what was found."""
         if self.ok:
             return f"{self.path}   ok: {', '.join([self.kind, *self.notes])}"
         more = len(self.problems) - _LISTED
@@ -67,14 +67,14 @@ class Verification:
 
 
 def verify(artifact: Path | str, *, progress: Progress | None = None) -> Verification:
-    """Check one artifact against what was written, by its checksums where it has some.
+    """Check that one artifact is unchanged, by its checksums if it has some.
 
-    Of a recording every picture is decoded.
+    Every picture of a recording is decoded.
 
     Args:
         artifact: a recording, NAME.zarr, labels or truth (.npz), weights (.safetensors), or a
             folder of states or of the benchmark.
-        progress: is told how much is done.
+        progress: called with how much is done.
     """
     path = Path(artifact)
     quiet_warp()
@@ -94,7 +94,7 @@ Check = Callable[[Path, Progress | None], _Findings]
 
 
 def _kind_of(path: Path) -> tuple[str, Check]:
-    """What lies there, and what checks it."""
+    """Return the kind of an artifact and the function that checks it."""
     for name, kind, check in (
         (DOCUMENT, "recording", _recording),
         ("bench.json", "benchmark", _bench),
@@ -122,14 +122,14 @@ def _is_shard(path: Path) -> bool:
 
 
 def _names_in(path: Path) -> set[str]:
-    """The arrays of an NPZ file."""
+    """Return the names of the arrays of an NPZ file."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}
     except FileNotFoundError as error:
         raise InvalidConfigError(f"{path}: there is no such file; {_VERIFIED}") from error
     except (zipfile.BadZipFile, ValueError, NotImplementedError):
-        # Whoever reads it says what is wrong.
+        # Its reader reports what is wrong.
         return {"document"} if path.name.endswith(".labels.npz") else set()
 
 
@@ -195,7 +195,7 @@ def _weights(path: Path, progress: Progress | None) -> _Findings:
 
 
 def _stated(card: Path, name: str) -> str:
-    """The SHA-256 that a model card gives for a file; empty where there is none."""
+    """Return the SHA-256 that a model card gives for a file; empty if there is none."""
     try:
         text = card.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""What is done with one of many tracked trajectories: label it, measure it."""
+"""The work per item for many tracked trajectories: labeling and measuring."""
 
 import hashlib
 import json
@@ -27,19 +27,19 @@ _MADE_FROM = "made_from_sha256"
 
 @dataclass(frozen=True)
 class Source:
-    """Runs with their recordings, and what is asked of them."""
+    """Runs with their recordings, and the options of the work."""
 
     recordings: Path | None
     tracked: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def name(self, path: Path) -> str:
-        """The name of a run, with its place in the list where several have it."""
+        """Return the name of a run, with its place in the list if several have the name."""
         same = [one for one in self.tracked if one.stem == path.stem]
         return path.stem if len(same) == 1 else f"{path.stem}_{same.index(path)}"
 
     def digest(self, path: Path) -> str:
-        """SHA-256 over all that the result of a run depends on."""
+        """Return the SHA-256 over everything that the result of a run depends on."""
         tracked = load_tracked(path)
         recording = self._recording(tracked, path)
         files = [path / "zarr.json", review_path(path)]
@@ -50,39 +50,39 @@ class Source:
         return hashlib.sha256("\n".join([*parts, recording_digest(recording)]).encode()).hexdigest()
 
     def run(self, path: Path) -> Run:
-        """A run with its recording, whether or not that has changed since."""
+        """Return a run with its recording, even if that has changed since."""
         tracked = load_tracked(path)
         return Run.of(tracked, self._recording(tracked, path), path)
 
     def _recording(self, tracked: TrackedTrajectory, path: Path) -> Recording:
-        """The recording where it is named; otherwise where `load` finds it."""
+        """Return the recording from the given folder, or else the one that `load` finds."""
         if self.recordings is not None:
             return read_recording(recording_folder(tracked, self.recordings))
         return recording_of(load(path))
 
     def tell(self, path: Path, run: Run) -> None:
-        """Warn when the recording has changed since; afterwards, as a refusal is one line."""
+        """Warn if the recording has changed; call it after the work, as an error is one line."""
         source = recording_of(run)
         warn_of_age(run, source, artifact=path, folder=source.folder)
 
 
 @dataclass(frozen=True)
 class Labeling:
-    """Label a run, as `clothtrack.files.many_items.Work`."""
+    """The labeling of runs, a `clothtrack.files.many_items.Work`."""
 
     source: Source
     output: Path
 
     def name(self, path: Path) -> str:
-        """The name of the run."""
+        """Return the name of the run."""
         return path.stem
 
     def paths(self, path: Path) -> list[Path]:
-        """The labels."""
+        """Return the path of the labels."""
         return [self.output / f"{path.stem}.labels.npz"]
 
     def kept(self, path: Path) -> Path | None:
-        """Labels that were made before, from the same files and options."""
+        """Return labels that were made before from the same files and options, or None."""
         (file,) = self.paths(path)
         if not file.is_file():
             return None
@@ -98,7 +98,7 @@ class Labeling:
         return file
 
     def do(self, path: Path) -> Path:
-        """Label it."""
+        """Label the run."""
         (file,), made_from = self.paths(path), {_MADE_FROM: self.source.digest(path)}
         run = self.source.run(path)
         label(run, file, **self.source.options, provenance=made_from)
@@ -108,21 +108,21 @@ class Labeling:
 
 @dataclass(frozen=True)
 class Measuring:
-    """Measure a run, as `clothtrack.files.many_items.Work`."""
+    """The measuring of runs, a `clothtrack.files.many_items.Work`."""
 
     source: Source
     folder: Path | None
 
     def name(self, path: Path) -> str:
-        """The name of the run."""
+        """Return the name of the run."""
         return self.source.name(path)
 
     def paths(self, path: Path) -> list[Path]:
-        """The measures of this run alone, if they are written."""
+        """Return the path of the measures of this run alone, if they are written."""
         return [] if self.folder is None else [self.folder / f"{self.name(path)}.json"]
 
     def kept(self, path: Path) -> Evaluation | None:
-        """What was measured before, of the same files with the same options."""
+        """Return measures that were made before from the same files and options, or None."""
         for file in self.paths(path):
             with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
                 document = json.loads(file.read_text("utf-8"))
@@ -133,7 +133,7 @@ class Measuring:
         return None
 
     def do(self, path: Path) -> Evaluation:
-        """Measure it."""
+        """Measure the run."""
         digest, run = self.source.digest(path), self.source.run(path)
         found = evaluate(run, **self.source.options)
         for file in self.paths(path):

@@ -1,11 +1,11 @@
 """The command line: one verb per stage, in the order of the method.
 
-A verb is a function that `import clothtrack`, `import clothtrack_capture` or `import
-clothtrack_lab` offers. The command line parses its arguments (`cli.signature`), calls it, and says
-what came of it: the result's `text()`, or with --json its `as_dict()`; its `doubts`, one line each,
-on standard error; its `exit_code`. The stages are imported when their verb is called, so that
-`--help` is instant. Exit codes: 0 done, 1 bad input or a full disk (one clear line on standard
-error), 2 wrong usage (one line, too), 130 an interrupt.
+A verb is a public function of `clothtrack`, `clothtrack_capture` or `clothtrack_lab`. The command
+line parses its arguments (`cli.signature`), calls it and prints the result: its `text()`, or its
+`as_dict()` with --json. The `doubts` of the result go to standard error, one line each, and its
+`exit_code` becomes that of the process. The stages are imported when their verb is called, so that
+`--help` is fast. Exit codes: 0 success, 1 bad input or a full disk (one line on standard error),
+2 wrong usage (also one line), 130 interrupt.
 """
 
 import inspect
@@ -48,13 +48,13 @@ OWN: Mapping[str, str] = {
     "view": "view",
     "export": "export",
 }
-"""The verbs of the core, and the functions of `clothtrack` behind them."""
+"""The verbs of the core package, and the `clothtrack` functions that implement them."""
 
 VERBS: Mapping[str, Callable[[], Function]] = {
     **{verb: partial(getattr, clothtrack, name) for verb, name in OWN.items()},
     **{found.name: found.load for found in entry_points(group="clothtrack.verbs")},
 }
-"""What loads the functions of all verbs; other packages name theirs as entry points."""
+"""A loader for the function of each verb; other packages register verbs as entry points."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "the main path": ("demo", "import", "track", "live", "evaluate", "view", "live-ros2"),
@@ -68,8 +68,8 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 """The order of `--help`; a verb that is in no group comes last."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that numeric libraries read when they are loaded. The operations here are small, and
-threads wait for each other more than they compute: on a busy machine several times as long."""
+"""Environment variables that numeric libraries read when they are loaded. The operations here are
+small, so that threads mostly wait for each other: on a busy machine, several times as long."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -89,11 +89,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _begin(words: Sequence[str]) -> int:
-    """Do what the words ask for; the exit code.
+    """Run the requested verb and return the exit code.
 
     Raises:
-        WrongUsageError: they ask for nothing that there is.
-        SystemExit: the help of a verb was asked for, and written.
+        WrongUsageError: the request cannot be understood.
+        SystemExit: the help of a verb was requested and printed.
     """
     if words[:1] == ["--version"]:
         return versions(json="--json" in words)
@@ -108,10 +108,10 @@ def _begin(words: Sequence[str]) -> int:
 
 
 def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
-    """Call the function of a verb, and say what came of it."""
+    """Call the function of a verb, print its result and return the exit code."""
     from clothtrack.geometry.devices import quiet_warp
 
-    # Warp would greet on standard output, where our results go.
+    # Warp would print a banner to standard output, where the results go.
     quiet_warp()
     json = chosen.pop("json")
     if chosen.pop("show_settings", False):
@@ -131,7 +131,11 @@ def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
 
 
 def _opened(verb: str, address: str, *, json: bool) -> None:
-    """Say where a page is; --json leaves standard output to the result, which a view has not."""
+    """Print the address of a page.
+
+    With --json, standard output is reserved for the result, so the address goes to standard error.
+    A view has no other result and prints the address itself as JSON.
+    """
     watched = verb in ("track", "live", "flatten")
     text = f"{address}   open this{' to watch' if watched else '; Ctrl-C ends'}"
     if verb == "view":
@@ -143,14 +147,14 @@ def _opened(verb: str, address: str, *, json: bool) -> None:
 
 
 def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
-    """Say what came of a verb, and give its exit code.
+    """Print the result of a verb and return its exit code.
 
     Args:
-        verb: which.
-        result: with `text()` and `as_dict()`, and perhaps `doubts` and `exit_code`; or the file
-            that was written; or nothing.
-        json: whether to say it as JSON.
-        said: whether its text was said already, piece by piece.
+        verb: name of the verb.
+        result: an object with `text()` and `as_dict()`, and optionally `doubts` and `exit_code`;
+            or the path of the written file; or None.
+        json: whether to print JSON.
+        said: whether the text was already printed, item by item.
     """
     if result is None:
         return 0
@@ -159,7 +163,7 @@ def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
         return 0
     if json:
         document = result.as_dict()
-        # Of one artifact that was inspected, the document is its own.
+        # A single inspected artifact is printed as one document instead of a list.
         say_result(
             "", document[0] if verb == "inspect" and len(document) == 1 else document, json=True
         )
@@ -171,7 +175,7 @@ def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
 
 
 def _list_settings(function: Function, chosen: Mapping[str, Any]) -> int:
-    """Write every setting of a verb with its value and its meaning, group by group."""
+    """Print every setting of a verb with its value and meaning, group by group."""
     from clothtrack.files.settings import settings_of
 
     make = configuration_of(function)

@@ -1,8 +1,8 @@
-"""How far long work is, for people: one line that is rewritten, or now and then a line.
+"""The progress of long work, shown to people.
 
-On a terminal the line is rewritten as the work goes on. A pipe or a log file gets a line every half
-minute, later less often, so that the log of a day stays short; work that is done in less leaves no
-line there.
+On a terminal, one line is rewritten as the work proceeds. A pipe or a log file gets a line every
+half minute, later less often, so that the log of a day stays short. Shorter work leaves no line
+there.
 """
 
 import os
@@ -12,23 +12,23 @@ from collections.abc import Callable
 from typing import TextIO
 
 _REWRITTEN_S = 0.1
-"""Least time between two states of the line on a terminal [s]; a person reads no faster."""
+"""Shortest time between two updates on a terminal [s]; a person reads no faster."""
 
 LOGGED_S = 30.0
 _LOGGED_SHARE = 0.05
-"""Elsewhere a line comes this often [s], or after this share of the time that has passed."""
+"""Elsewhere, the time between lines: this [s], or this share of the elapsed time if larger."""
 
 _USUAL_COLUMNS = 80
 
 _TRUSTED_S = 2.0
-"""No time left is said before this much of it has passed [s]: the first steps compile kernels."""
+"""The remaining time is not shown before this [s], because the first steps compile kernels."""
 
 
 class ProgressLine:
     """The progress of one verb on one stream.
 
     Attributes:
-        text: what was said last.
+        text: the latest line.
     """
 
     def __init__(
@@ -37,8 +37,8 @@ class ProgressLine:
         """Begin the work now, with nothing shown.
 
         Args:
-            stream: where to; standard error as it is at that time by default.
-            clock: tells the time [s].
+            stream: output stream; the current `sys.stderr` by default.
+            clock: returns the time [s].
         """
         self._given, self._clock = stream, clock
         self._shown = False
@@ -46,15 +46,15 @@ class ProgressLine:
         self.begin()
 
     def begin(self) -> None:
-        """Begin other work: what is left of it is estimated anew."""
+        """Begin new work and restart the estimate of the remaining time."""
         self._began_s = self._written_s = self._clock()
         self._start: tuple[float, int, int] | None = None
         self._done = 0
 
     def __call__(self, place: str, done: int, total: int) -> None:
-        """Say where the work is (`clothtrack.files.progress`)."""
+        """Show the progress (`clothtrack.files.progress`)."""
         now = self._clock()
-        # Another count than before is other work: what it takes is not known from the last.
+        # A count that falls, or a total that appears or vanishes, marks new work of unknown speed.
         if self._start is None or done < self._done or (total > 0) != (self._start[2] > 0):
             self._start = now, done, total
         self._done = done
@@ -70,7 +70,7 @@ class ProgressLine:
             self._written_s = now
 
     def clear(self) -> None:
-        """Take the line away, for something else to be written."""
+        """Erase the line so that something else can be written."""
         if self._shown:
             self._stream.write("\r\x1b[K")
             self._shown = False
@@ -80,7 +80,7 @@ class ProgressLine:
         return self._given or sys.stderr
 
     def _share(self, now: float, done: int, total: int) -> str:
-        """Share of the work that is done, and the time that is left, in columns."""
+        """Return the share of the work done and the remaining time, in columns."""
         if total <= 0 or self._start is None:
             return ""
         began_s, before, _ = self._start
@@ -92,7 +92,7 @@ class ProgressLine:
 
 
 def _columns(stream: TextIO) -> int:
-    """Width of a terminal; a longer line would wrap, and could not be rewritten."""
+    """Return the width of a terminal; a longer line would wrap and could not be rewritten."""
     try:
         return os.get_terminal_size(stream.fileno()).columns or _USUAL_COLUMNS
     except (OSError, ValueError):
@@ -100,7 +100,7 @@ def _columns(stream: TextIO) -> int:
 
 
 def duration(seconds: float) -> str:
-    """A time as a person says it, in at most six characters: 40 s, 12 min, 1.5 h, 2.5 d."""
+    """Return a duration in at most six characters: 40 s, 12 min, 1.5 h, 2.5 d."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     if seconds < 99.5 * 60:

@@ -1,14 +1,13 @@
 """A verb of the command line, made from the signature and the docstring of a function.
 
-Positional arguments without a default are words, the others are options, and so is an output that
-does not come first; their help is the docstring's. What a
-command line cannot give (a recording that was read, an array, a function) is left out: the names of
-such types are not loaded, so that `--help` is instant. Every verb gets --verbose and --json, and
---show-settings where the function says what its settings change
-(`clothtrack.api.options.configured_by`).
+Positional arguments without a default stay positional. All others are options, and so is an output
+that does not come first. Their help comes from the docstring. Arguments that a command line cannot
+give (a recording in memory, an array, a function) are left out, and their types are not imported,
+so that `--help` is fast. Every verb gets --verbose and --json, and --show-settings if the function
+declares what its settings change (`clothtrack.api.options.configured_by`).
 
-What tyro would write of a default that is none ("(default: None)") is left out, and so is the type
-None: the sentence about an option says what happens without it.
+The help omits tyro's "(default: None)" and the type None, because the sentence about an option says
+what happens without it.
 """
 
 import dataclasses
@@ -28,17 +27,17 @@ _OF_THE_TERMINAL: Mapping[str, Any] = {
     "show_settings": Annotated[bool, arg(help="list what --set can change, and do nothing else")],
     "verbose": Annotated[bool, arg(name="verbose", help="log what happens, on standard error")],
 }
-"""Options of every verb, and of those that have settings."""
+"""Options of every verb; `show_settings` only for verbs that have settings."""
 
 SHOW_SETTINGS = "--show-settings"
 
 _METAVARS = {Path: "PATH", int: "INT", float: "FLOAT", str: "TEXT"}
 _NOTHING = (None, "", (), False, True)
-"""Defaults that need no word: flags are named after what they change."""
+"""Defaults that the help does not show, because flags are named after what they change."""
 
 
 class _Unloaded:
-    """A type that is imported for type checkers alone; a union with it is the rest of the union."""
+    """A type imported only for type checkers; a union drops it."""
 
     def __or__(self, other: Any) -> Any:
         return other
@@ -53,7 +52,7 @@ class _Unloaded:
 
 
 class _Names(dict[str, Any]):
-    """The names of a module, and those that it imports for type checkers alone."""
+    """The names of a module, including those that it imports only for type checkers."""
 
     def __missing__(self, name: str) -> Any:
         builtins = __builtins__ if isinstance(__builtins__, dict) else vars(__builtins__)
@@ -61,7 +60,7 @@ class _Names(dict[str, Any]):
 
 
 def parameters_of(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """The arguments of a function that a command line can give, with the types that it gives."""
+    """Return the arguments of a function that a command line can give, with their types there."""
     plain = inspect.unwrap(function)
     names = _Names(plain.__globals__)
     found = []
@@ -70,7 +69,7 @@ def parameters_of(function: Callable[..., Any]) -> list[inspect.Parameter]:
             continue
         annotation = one.annotation
         if isinstance(annotation, str):
-            # Our own source, as type checkers read it.
+            # This evaluates our own source only, as a type checker would.
             annotation = eval(annotation, names)
         given = _given(annotation)
         if given is None:
@@ -100,12 +99,12 @@ def _of_the_terminal(function: Callable[..., Any]) -> list[inspect.Parameter]:
 
 
 def configuration_of(function: Callable[..., Any]) -> Callable[..., Any] | None:
-    """What makes the configuration that the settings of a function change, if it has some."""
+    """Return the function that makes the configuration a function's settings change, if any."""
     return getattr(function, "configuration", None)
 
 
 def _given(annotation: Any) -> Any:
-    """The type that a command line gives for an annotation; None where it can give nothing."""
+    """Return the type that a command line can give for an annotation, or None."""
     if isinstance(annotation, _Unloaded | str | None):
         return None
     origin, arguments = get_origin(annotation), get_args(annotation)
@@ -121,7 +120,7 @@ def _given(annotation: Any) -> Any:
 
 
 def _any_of(members: Sequence[Any]) -> Any:
-    """A union of types that can be given; any text is the name of a file where one is wanted."""
+    """Return the union of the types that can be given; a path takes the place of text."""
     some = [_given(one) for one in members]
     wanted = [one for one in some if one is not str or Path not in some]
     return reduce(or_, wanted) if wanted else None
@@ -134,14 +133,14 @@ _SEQUENCE = get_origin(Sequence[int])
 def command(
     function: Callable[..., Any], name: str, *, lenient: bool = False
 ) -> Callable[..., Callable[[], dict[str, Any]]]:
-    """A verb for tyro: called with its options, it gives what hands them on.
+    """Return a function for tyro that takes the options of a verb and returns how to get them.
 
-    Options are refused by tyro alone, so that an error inside a verb is never taken for one.
+    It does not call the verb, so that tyro cannot take an error inside the verb for a wrong option.
 
     Args:
-        function: the verb's.
-        name: the verb, as it is written.
-        lenient: nothing is missing, as nothing is done.
+        function: the function of the verb.
+        name: name of the verb.
+        lenient: make every argument optional, because the verb will not be run.
     """
     parameters = parameters_of(function)
     if lenient:
@@ -154,17 +153,17 @@ def command(
         return partial(dict, whole)
 
     parsed.__name__ = name
-    # The lines of an argument are one sentence; the terminal breaks it where it likes.
+    # Join the lines about an argument; the terminal wraps them.
     parsed.__doc__ = re.sub(r"\n {8}(?=\S)", " ", inspect.getdoc(inspect.unwrap(function)) or "")
     parsed.__annotations__ = {one.name: one.annotation for one in options}
     parsed.__dict__["__signature__"] = inspect.Signature(options)
-    # What checks types in tests wraps a function, and tyro would look at the one inside.
+    # The type checker used in tests wraps functions, and tyro would inspect the wrapped one.
     parsed.__dict__.pop("__wrapped__", None)
     return parsed
 
 
 def _optional(option: inspect.Parameter) -> inspect.Parameter:
-    """An argument that may be left out."""
+    """Return an argument made optional."""
     if option.default is not option.empty:
         return option
     if get_origin(option.annotation) is tuple:
@@ -173,7 +172,7 @@ def _optional(option: inspect.Parameter) -> inspect.Parameter:
 
 
 def options_of(function: Callable[..., Any]) -> set[str]:
-    """The options of a verb as they are written, such as "--output"."""
+    """Return the options of a verb as they are written, such as "--output"."""
     written = {"--help", "-h"}
     for option in parameters_of(function):
         if option.kind is not option.KEYWORD_ONLY:
@@ -187,7 +186,7 @@ def options_of(function: Callable[..., Any]) -> set[str]:
 
 
 def _written(name: str, annotation: Any, default: Any) -> set[str]:
-    """How an option can be written."""
+    """Return the spellings of an option."""
     configured = [one for one in get_args(annotation)[1:] if hasattr(one, "aliases")]
     aliases: set[str] = set()
     for one in configured:
@@ -198,7 +197,7 @@ def _written(name: str, annotation: Any, default: Any) -> set[str]:
 
 
 def _plain(option: inspect.Parameter) -> inspect.Parameter:
-    """An option of a verb, without hints that say nothing."""
+    """Return an option of a verb without uninformative hints."""
     if dataclasses.is_dataclass(option.annotation):
         group = _plain_fields(option.annotation)
         fields = dataclasses.fields(option.default)
@@ -212,7 +211,7 @@ def _plain(option: inspect.Parameter) -> inspect.Parameter:
 
 
 def _plain_fields(group: Any) -> type:
-    """The same group of options with plain hints; what is made of it is one of the group."""
+    """Return a subclass of a group of options with plain hints."""
     fields = [
         (one.name, _hinted(one.type, one.default), dataclasses.field(default=one.default))
         for one in dataclasses.fields(group)
@@ -223,7 +222,7 @@ def _plain_fields(group: Any) -> type:
 
 
 def _word(option: inspect.Parameter) -> Any:
-    """The type of a word, called by its name; tyro thinks that a list of them may be empty."""
+    """Return the named type of a positional argument; tyro assumes that a list may be empty."""
     name = option.name.upper().rstrip("_")
     if get_origin(option.annotation) is not tuple:
         return Positional[Annotated[option.annotation, arg(metavar=name)]]
@@ -232,7 +231,7 @@ def _word(option: inspect.Parameter) -> Any:
 
 
 def _hinted(annotation: Any, default: Any) -> Any:
-    """A type with what tyro is to say of it."""
+    """Return a type with the hint that tyro shows for it."""
     if not any(default is one or (default == one == ()) for one in _NOTHING):
         return annotation
     metavar = None

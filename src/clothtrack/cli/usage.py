@@ -1,8 +1,7 @@
-"""Wrong usage in one line: what was written, what may have been meant, where the help is.
+"""One-line messages for wrong usage: what was written, what may be meant, where the help is.
 
-Verbs and options are compared with those that exist before tyro sees them. What tyro refuses
-besides (a missing option, a value that is none of the choices) it draws in a box; the first
-sentence of that is kept.
+Verbs and options are checked before tyro sees them. Tyro reports other errors (a missing option, a
+value outside the choices) in a box, of which the first sentence is kept.
 """
 
 import inspect
@@ -34,24 +33,24 @@ _REFUSED = re.compile(r"could be instantiated from \[(.*)\]")
 _EXPLAINED = "  Argument helptext:"
 _MARGIN = 2
 _LONGEST = 300
-"""Characters of what is said about an option."""
+"""Longest message about an option [characters]."""
 
 _HELP_INDENT = 8
-"""Spaces that tyro puts before the help of an option, in the list of those that are missing."""
+"""Spaces that tyro puts before the help of an option in its list of missing options."""
 
 
 def parse(
     words: Sequence[str], verbs: Mapping[str, Callable[[], Function]]
 ) -> tuple[Function, dict[str, Any]]:
-    """The function of the verb that the words ask for, and its arguments.
+    """Return the function of the requested verb, and its arguments.
 
     Args:
-        words: after `clothtrack`.
-        verbs: what loads the functions, by the names of their verbs.
+        words: the words after `clothtrack`.
+        verbs: the loader of each function, by verb name.
 
     Raises:
-        WrongUsageError: there is no such verb or option, or one is missing or has another value.
-        SystemExit: help was asked for, and written.
+        WrongUsageError: a verb or option does not exist, is missing or has a wrong value.
+        SystemExit: help was requested and printed.
     """
     function = _known(words, verbs)
     drawn = StringIO()
@@ -83,8 +82,8 @@ def overview(
     """Return what `clothtrack --help` shows: every verb in its group, with one sentence.
 
     Args:
-        verbs: what loads the functions, by the names of their verbs.
-        groups: names by the title of their group, in order; those that are missing are left out.
+        verbs: the loader of each function, by verb name.
+        groups: verb names by group title, in order; missing verbs are left out.
     """
     named = {name for names in groups.values() for name in names}
     whole = {**groups, "others": [name for name in verbs if name not in named]}
@@ -103,19 +102,19 @@ def overview(
 
 
 def _sentence(function: Function, width: int) -> str:
-    """Return the first line of what a function's docstring says."""
+    """Return the first paragraph of a function's docstring, shortened to a width."""
     first = (inspect.unwrap(function).__doc__ or "").strip().split("\n\n")[0]
     return shorten(" ".join(first.split()), width, placeholder=" ...")
 
 
 def meant(word: str, known: Sequence[str]) -> str:
-    """What may have been meant by a word, as the end of a sentence; empty where nothing is."""
+    """Return the closest known word as the end of a message; empty if none is close."""
     close = get_close_matches(word, known, n=1)
     return f"; did you mean {close[0]}?" if close else ""
 
 
 def _known(words: Sequence[str], verbs: Mapping[str, Callable[[], Function]]) -> Function:
-    """The function of a verb, whose options are all known."""
+    """Return the function of a verb after checking that the verb and all options exist."""
     if not words:
         raise WrongUsageError("say what to do: clothtrack VERB; clothtrack --help lists the verbs")
     verb = words[0]
@@ -134,7 +133,7 @@ def _known(words: Sequence[str], verbs: Mapping[str, Callable[[], Function]]) ->
 
 
 def _first_sentence(drawn: str, verb: str) -> str:
-    """What a box of tyro's says before it explains, in one line."""
+    """Return, in one line, what a box of tyro says before its explanation."""
     said: list[str] = []
     rows = [_BOX.sub(" ", row).rstrip() for row in drawn.splitlines()]
     for row in rows:
@@ -144,7 +143,7 @@ def _first_sentence(drawn: str, verb: str) -> str:
         indent = len(row) - len(row.lstrip()) - _MARGIN
         if indent < 0 or indent >= _HELP_INDENT or not text.strip("─-"):
             continue
-        # Names of missing options, each in a row of its own.
+        # Names of missing options, one per row.
         said.append(f"{text}," if indent > 0 else text)
     sentence = " ".join(said).rstrip(",.") or drawn.strip()
     refused = _REFUSED.search(sentence)
@@ -152,6 +151,6 @@ def _first_sentence(drawn: str, verb: str) -> str:
         option = rows[rows.index(_EXPLAINED) + 1].strip() if _EXPLAINED in rows else "an option"
         sentence = f"{option} cannot be {refused[1]}"
     if len(sentence) > _LONGEST:
-        # A long value comes in rows of the box: no word of it is long.
+        # The box wraps a long value, so that no single word is long.
         sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
     return f"{sentence}; clothtrack {verb} --help says more"

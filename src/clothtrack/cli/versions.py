@@ -1,15 +1,15 @@
-"""What is installed: the first question of any bug report."""
+"""The installed versions, for bug reports."""
 
 from clothtrack.cli.terminal import say_result
 
 PACKAGES = (
     "warp-lang", "numpy", "scipy", "opencv-python-headless", "zarr", "mujoco-core", "tyro", "torch",
 )  # fmt: skip
-"""Distributions that results depend on; those of an extra are told where they are installed."""
+"""Distributions that results depend on; those of an extra are listed if installed."""
 
 
 def versions(*, json: bool) -> int:
-    """Say the version, the commit, the devices and what it runs on; no package is imported."""
+    """Print the version, commit, devices, machine and packages; no package is imported."""
     from clothtrack.files.provenance import made_with
     from clothtrack.geometry.devices import device_names, quiet_warp
 

@@ -1,4 +1,4 @@
-"""What the stages log, on standard error: a warning once for each cause, however often it comes."""
+"""Logging to standard error that prints each kind of warning only once."""
 
 import logging
 import re
@@ -9,20 +9,20 @@ from contextlib import contextmanager
 from clothtrack.cli.terminal import progress
 
 _COUNTED = re.compile(r"(?<!\w)\d+")
-"""Numbers of frames, files and places; those in a name belong to it."""
+"""Numbers of frames, files and places; digits inside a name are part of it."""
 
 
 class _WarningsOnce(logging.Handler):
-    """Writes the first warning of each cause, and at the end how many more there were."""
+    """A handler that writes the first warning of each kind, and at the end how many followed."""
 
     def __init__(self) -> None:
-        """Begin with no warning told."""
+        """Begin with no warning written."""
         super().__init__()
         self.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
         self._told: dict[str, dict[str, None]] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record, unless one of its cause was written before."""
+        """Write a record, unless a warning of the same kind was written before."""
         line = self.format(record)
         if record.levelno >= logging.WARNING:
             same = self._told.setdefault(_COUNTED.sub("#", line), {})
@@ -33,7 +33,7 @@ class _WarningsOnce(logging.Handler):
         self._write(line)
 
     def close(self) -> None:
-        """Say how many warnings were left out; those that are word for word the same are one."""
+        """Write how many warnings were left out, counting identical ones once."""
         told, self._told = self._told, {}
         for same in told.values():
             if (others := len(same) - 1) > 0:
@@ -48,10 +48,10 @@ class _WarningsOnce(logging.Handler):
 
 @contextmanager
 def logged(*, verbose: bool) -> Iterator[None]:
-    """While the block runs, what is logged goes to standard error.
+    """Send log records to standard error during the block.
 
     Args:
-        verbose: not only warnings, but what happens, too.
+        verbose: send information as well as warnings.
     """
     root, handler = logging.getLogger(), _WarningsOnce()
     level = root.level

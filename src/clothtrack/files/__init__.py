@@ -1,4 +1,4 @@
-"""Files as all rooms write them: whole or not at all, with the settings they were made with."""
+"""Shared file handling: atomic writes, and the settings that results were made with."""
 
 from typing import TYPE_CHECKING
 

@@ -18,13 +18,13 @@ from pathlib import Path
 from clothtrack.errors import StorageError
 
 _LATE_WRITERS_S = 2.0
-"""Longest time [s] that late writers may still write into a folder that is removed."""
+"""Longest time [s] that late writers may still write into a folder that is being removed."""
 
 OLD = ".old"
-"""Ends the hidden name of a folder that is being replaced."""
+"""Suffix of the hidden name of a folder that is being replaced."""
 
 _LONGEST_NAME = 200
-"""Characters of a name; file systems take 255, and suffixes come on top."""
+"""Longest name [characters]; file systems allow 255, including the suffixes that are added."""
 
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
 _MARK = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(?=\.|$)")
@@ -33,7 +33,7 @@ _MARK = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(?=\.|$)")
 def name_problem(name: object) -> str:
     """Return why a name cannot name one entry of a folder; empty when it can.
 
-    To be asked before such a name becomes part of a path: `../x` leads out of the folder.
+    Call it before a name becomes part of a path: `../x` leads out of the folder.
     """
     if not isinstance(name, str):
         return "it is no text"
@@ -50,7 +50,7 @@ def name_problem(name: object) -> str:
 
 @contextmanager
 def storage(path: Path) -> Iterator[None]:
-    """Turn an `OSError` of the block into a `StorageError` that names file and remedy."""
+    """Turn an `OSError` of the block into a `StorageError` that names the file and a remedy."""
     try:
         yield
     except OSError as error:
@@ -58,7 +58,7 @@ def storage(path: Path) -> Iterator[None]:
 
 
 def content_hash(path: Path) -> str:
-    """Return SHA-256 of a file in hexadecimal digits.
+    """Return the SHA-256 of a file in hexadecimal digits.
 
     Raises:
         StorageError: it cannot be read.
@@ -69,7 +69,7 @@ def content_hash(path: Path) -> str:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary file to write to; it takes the name `path` when all went well.
+    """Yield a temporary file to write to; it is renamed to `path` on success.
 
     The temporary name keeps the suffix, from which writers guess the format.
 
@@ -85,7 +85,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
             temporary = path.with_name(hidden_name(path.stem, path.suffix))
             temporary.touch(exist_ok=False)
             yield temporary
-            # Some writers make the file anew, for their owner alone.
+            # Some writers recreate the file with permissions for its owner only.
             temporary.chmod(0o644)
             _flush(temporary)
             os.replace(temporary, path)
@@ -106,11 +106,11 @@ def write_file(path: Path, data: bytes | memoryview) -> None:
 
 @contextmanager
 def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder beside `path` to fill; it takes the name `path` when all went well.
+    """Yield a temporary folder beside `path` to fill; it is renamed to `path` on success.
 
     Args:
         path: the folder's final name.
-        replace: replace a folder at `path` when all went well: it is renamed before the new one
+        replace: replace a folder at `path` on success: the old one is renamed before the new one
             takes its name, and removed after that.
 
     Raises:
@@ -146,7 +146,7 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
 
 def _flush(path: Path) -> None:
-    """Have the disk take the content before the name: a power cut leaves one of the two files."""
+    """Flush the content before the rename, so that a power cut leaves the old or the new file."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
@@ -156,9 +156,9 @@ def _is_empty_folder(path: Path) -> bool:
 
 
 def remove_folder(folder: Path) -> None:
-    """Remove a folder, if it is still there, into which late writers may still write.
+    """Remove a folder, if it is still there, although late writers may still write into it.
 
-    A process that is told to end meanwhile removes it first.
+    SIGTERM takes effect only after that.
     """
     with _undisturbed():
         deadline = time.monotonic() + _LATE_WRITERS_S
@@ -170,9 +170,9 @@ def remove_folder(folder: Path) -> None:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Hold SIGTERM back until the block is done: some tools send it again and again."""
+    """Hold SIGTERM back until the block is done, because some tools send it repeatedly."""
     if threading.current_thread() is not threading.main_thread():
-        # Python runs handlers of signals in the main thread alone.
+        # Python runs signal handlers in the main thread only.
         yield
         return
     signals: list[int] = []
@@ -186,21 +186,21 @@ def _undisturbed() -> Iterator[None]:
 
 
 def hidden_name(name: str, suffix: str = "") -> str:
-    """Return a name to write under what is to be called `name`; no two are equal.
+    """Return a unique temporary name for what will be called `name`.
 
-    It names the process, so that the next one can tell what a dead one has left.
+    It contains the process ID, so that later processes can recognize the leftovers of dead ones.
     """
     return f".{name}.{_HOST}-{os.getpid()}-{os.urandom(4).hex()}{suffix}"
 
 
 def clear_leftovers(paths: Iterable[Path]) -> None:
-    """Remove what killed processes have left of files or folders that they were writing.
+    """Remove unfinished files and folders that killed processes have left.
 
-    The caller holds the lock of the output folder: what a process of another machine has left is
+    The caller must hold the lock of the output folder, because leftovers of other machines are
     removed, too. A folder that a killed process was replacing gets its name back.
 
     Args:
-        paths: under their final names.
+        paths: final names of the files and folders.
 
     Raises:
         StorageError: the disk refuses.
@@ -213,7 +213,7 @@ def clear_leftovers(paths: Iterable[Path]) -> None:
 
 
 def clear_dead(folder: Path) -> None:
-    """Remove what killed processes of this machine have left in a folder, whatever they wrote.
+    """Remove everything unfinished that killed processes of this machine have left in a folder.
 
     Raises:
         StorageError: the disk refuses.
@@ -224,7 +224,7 @@ def clear_dead(folder: Path) -> None:
 
 
 _CLEARED: set[str] = set()
-"""Folders in which this process has looked for what dead ones have left."""
+"""Folders in which this process has already looked for leftovers of dead processes."""
 
 
 def _clear_dead_once(folder: Path) -> None:
@@ -236,7 +236,7 @@ def _clear_dead_once(folder: Path) -> None:
 
 
 def _leftovers(folder: Path) -> Iterator[tuple[Path, Path, str, int]]:
-    """Find what was written under a hidden name: with its final name, machine and process."""
+    """Yield each leftover with a hidden name, its final name, its machine and its process ID."""
     with storage(folder):
         for left in folder.glob(".*"):
             found = _MARK.search(left.name)

@@ -1,6 +1,6 @@
 """Limits of settings, declared in their annotations and checked in one place.
 
-A configuration inherits from `Checked` and says in the type of a field what the field may be:
+A configuration inherits from `Checked` and declares the limits of a field in its type:
 
     @dataclass(frozen=True)
     class SearchConfig(Checked):
@@ -9,8 +9,8 @@ A configuration inherits from `Checked` and says in the type of a field what the
         method: Literal["grid", "descent"] = "descent"
 
 A value outside is refused in one line, such as "search.decay is 1.2; it must be above 0 and below
-1". What several fields must fulfil together is checked by hand, in a `__post_init__` that calls
-the inherited one first.
+1". Conditions on several fields are checked by hand, in a `__post_init__` that calls the inherited
+one first.
 """
 
 import math
@@ -23,7 +23,7 @@ from clothtrack.errors import InvalidConfigError
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of a finite number; those that are None do not count.
+    """Limits of a finite number; None means no limit.
 
     Attributes:
         least: smallest value that is allowed.
@@ -112,11 +112,11 @@ Share = Annotated[float, Bounds(least=0, most=1)]
 """A part of a whole, 0 and 1 included."""
 
 Fraction = Annotated[float, Bounds(above=0, below=1)]
-"""A part of a whole that is neither nothing nor all of it."""
+"""A part of a whole, 0 and 1 excluded."""
 
 
 class Checked:
-    """Base of configurations: refuses values outside the limits that their types declare."""
+    """Base class of configurations that refuses values outside their declared limits."""
 
     def __post_init__(self) -> None:
         """Check every field with a declared limit.
@@ -141,6 +141,6 @@ def _refused(declared: Any, value: Any) -> str:
 
 
 def _group(owner: type) -> str:
-    """Return the class as settings name it: `template_fit` of a `TemplateFitConfig`."""
+    """Return the name of a class in settings, such as `template_fit` for `TemplateFitConfig`."""
     words = re.findall("[A-Z][a-z0-9]*", owner.__name__.removesuffix("Config"))
     return "_".join(words).lower()

@@ -1,4 +1,4 @@
-"""CSV files with declared columns: a field is read, or refused with its line, value and remedy."""
+"""CSV files with declared columns; a wrong field is refused with its line, value and remedy."""
 
 import csv
 import io
@@ -13,10 +13,10 @@ from clothtrack.errors import InvalidRecordingError, why_unreadable
 
 @dataclass(frozen=True)
 class Column:
-    """What a column holds.
+    """The type of a column.
 
     Attributes:
-        read: makes a value of a field without blanks around it; raises ValueError for others.
+        read: converts a field, stripped of blanks, to a value; raises ValueError if it is wrong.
         remedy: what to write instead.
     """
 
@@ -25,7 +25,7 @@ class Column:
 
 
 def finite(word: str) -> float:
-    """Return a finite number; ValueError otherwise."""
+    """Return a finite number; raise ValueError otherwise."""
     value = float(word)
     if not math.isfinite(value):
         raise ValueError(word)
@@ -33,7 +33,7 @@ def finite(word: str) -> float:
 
 
 def filled(word: str) -> str:
-    """Return a text that is not empty; ValueError otherwise."""
+    """Return a text that is not empty; raise ValueError otherwise."""
     if not word:
         raise ValueError(word)
     return word
@@ -43,11 +43,11 @@ NUMBER = Column(finite, "write a number")
 
 
 def read_csv(path: Path, columns: Mapping[str, Column]) -> Iterator[tuple[str, list[Any]]]:
-    """Yield place ("FILE: line 7") and values of every row below the head that is not empty.
+    """Yield the place ("FILE: line 7") and values of every nonempty row below the header.
 
     Raises:
-        InvalidRecordingError: the file cannot be read, its head or the length of a row is another,
-            or a field is not what its column holds.
+        InvalidRecordingError: the file cannot be read, its header or the length of a row is wrong,
+            or a field does not fit its column.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

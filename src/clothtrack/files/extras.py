@@ -1,6 +1,6 @@
 """The command that adds an optional extra to this installation.
 
-The name clothtrack is on no registry, so that the command depends on where this copy came from.
+clothtrack is on no package registry, so the command depends on where this copy came from.
 """
 
 import importlib.metadata
@@ -16,15 +16,15 @@ from clothtrack.errors import InvalidConfigError
 
 
 def require_extra(extra: str, modules: Sequence[str], work: str) -> None:
-    """Check that an extra is installed. Nothing is loaded to find out.
+    """Check that an extra is installed, without importing it.
 
     Args:
         extra: its name in pyproject.toml.
-        modules: what it brings.
-        work: what needs it, to begin the message.
+        modules: the modules that it provides.
+        work: what needs it; the message begins with this.
 
     Raises:
-        InvalidConfigError: with the command that installs it.
+        InvalidConfigError: it is missing; the message has the command that installs it.
     """
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
@@ -37,8 +37,8 @@ def require_extra(extra: str, modules: Sequence[str], work: str) -> None:
 def install_command(extra: str) -> str:
     """Return the command that installs an extra, such as `learn`, for this copy of clothtrack.
 
-    A copy installed from a folder or from a wheel file is named by that path, with the interpreter
-    that is running. Of any other copy only the command inside a checkout is known.
+    For a copy installed from a folder or a wheel file, the command names that path and the running
+    interpreter. For any other copy, only the command inside a checkout is known.
     """
     source = _installed_from()
     if source is None or not source[0].exists():

@@ -1,4 +1,4 @@
-"""The same work on many items: finished ones are kept, and a bad one does not stop the others."""
+"""The same work on many items: finished ones are kept, and a failure does not stop the others."""
 
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
@@ -20,18 +20,18 @@ _Made_co = TypeVar("_Made_co", covariant=True)
 
 @runtime_checkable
 class Work(Protocol[_Given_contra, _Made_co]):
-    """What is to be done with items. Other processes get it, so that it holds plain values."""
+    """The work to do on items; it is sent to other processes and must hold plain values."""
 
     def name(self, item: _Given_contra) -> str:
-        """Return the item's name; no two have the same."""
+        """Return the item's name, which is unique."""
         ...
 
     def paths(self, item: _Given_contra) -> Sequence[Path]:
-        """Return what is written for the item, each whole or not at all."""
+        """Return the paths written for the item, each whole or not at all."""
         ...
 
     def kept(self, item: _Given_contra) -> _Made_co | None:
-        """Return the result if it was finished before; None if it is to be made."""
+        """Return the result if it was finished before; None if it must be made."""
         ...
 
     def do(self, item: _Given_contra) -> _Made_co:
@@ -41,12 +41,12 @@ class Work(Protocol[_Given_contra, _Made_co]):
 
 @dataclass(frozen=True)
 class Attempt(Generic[Item, Result]):
-    """What became of an item.
+    """The outcome of an item.
 
     Attributes:
-        item: which.
-        result: what was made of it, or None.
-        error: why nothing was.
+        item: the item.
+        result: its result, or None.
+        error: why there is no result, or None.
     """
 
     item: Item
@@ -64,21 +64,21 @@ def attempts(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Generator[Attempt[Item, Result], None, None]:
-    """Do the work on every item, and give what became of each as it comes.
+    """Do the work on every item, and yield each outcome as it is finished.
 
-    The caller holds the lock of the output folder, and closes this as `finished_in_workers`.
+    The caller must hold the lock of the output folder, and close this as `finished_in_workers`.
 
     Args:
-        work: what is done.
-        items: all of them.
-        kind: what the items are, for people, such as "recordings".
-        workers: processes.
-        ray: address of Ray, which is to do it; worker processes by default.
-        device: where it computes; by Ray, an item has a graphics card of its own.
+        work: the work to do.
+        items: all items.
+        kind: the plural that messages call the items, such as "recordings".
+        workers: number of processes.
+        ray: address of Ray, to run the work there; worker processes by default.
+        device: where to compute; with Ray and a GPU device, each item has a GPU of its own.
         progress: called first, and after each item.
 
     Raises:
-        InvalidConfigError: there are no workers, or Ray is not there.
+        InvalidConfigError: there are no workers, or Ray is not available.
         ClothTrackError: a worker died.
         StorageError: a folder of results cannot be written.
     """
@@ -98,14 +98,14 @@ def attempts(
                     progress(last, done, len(items))
                 yield one
     finally:
-        # A worker that was killed leaves what it has half-written.
+        # A killed worker leaves half-written files.
         clear_leftovers(paths)
 
 
 def results_of(
     tries: Iterable[Attempt[Item, Result]],
 ) -> Generator[tuple[Item, Result], None, None]:
-    """Give items and their results; raise the first error after them, one of the disk at once.
+    """Yield items and results; raise the first error after all, but a storage error at once.
 
     Raises:
         ClothTrackError: an item failed.
@@ -122,7 +122,7 @@ def results_of(
 
 
 def _attempt(item: Item, *, work: Work[Item, Result]) -> Attempt[Item, Result]:
-    """Do an item, unless it is done."""
+    """Do the work on an item, unless it was done before."""
     try:
         result = work.kept(item)
         return Attempt(item, work.do(item) if result is None else result)

@@ -1,4 +1,4 @@
-"""One run at a time in an output folder."""
+"""The lock that allows one run at a time in an output folder."""
 
 import os
 import socket
@@ -16,7 +16,7 @@ LOCK_FILE = ".clothtrack.lock"
 
 @contextmanager
 def locked_output(folder: Path) -> Iterator[None]:
-    """Hold the lock of an output folder for the time of the block.
+    """Hold the lock of an output folder during the block.
 
     The operating system releases the lock of a process that dies.
 
@@ -45,13 +45,13 @@ def locked_output(folder: Path) -> Iterator[None]:
                 path.write_text(f"{os.getpid()}\n{socket.gethostname()}\n", encoding="utf-8")
         yield
     finally:
-        # Removed while it is held: FileLock tries again where it has locked a file without a name.
+        # Remove it while it is held: FileLock retries if it has locked a file without a name.
         path.unlink(missing_ok=True)
         lock.release()
 
 
 def _holder(path: Path) -> str:
-    """Return who holds a lock in words, or nothing if the file does not say."""
+    """Return in words who holds a lock; empty if the file does not say."""
     with suppress(OSError, ValueError):
         pid, host = path.read_text(encoding="utf-8").split("\n")[:2]
         if pid.isdigit():

@@ -1,27 +1,27 @@
-"""The function that long work calls to say how far it is."""
+"""The callback through which long work reports its progress."""
 
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]
-"""Called with the place in the work, and how much of it is done and in all.
+"""Called with a description of the step, the amount of work done, and the total.
 
-The place is words: the thing worked on, then what of how many ("towel_0001: action 1/2, frame
-12/41"). What is done is counted in units that take about the same time, so that the time that is
-left can be estimated; it grows. The total may be an estimate, and is 0 while it is unknown.
+The description names the item, then its parts by number ("towel_0001: action 1/2, frame 12/41").
+The amount done only grows. Its units take about the same time each, so that the remaining time can
+be estimated. The total may be an estimate, and is 0 while it is unknown.
 """
 
 _PARTS = 10_000
-"""Units of each of several things that are done one after the other."""
+"""Units of work per item, if several items are done one after the other."""
 
 
 def one_of(progress: Progress | None, before: int, count: int, kind: str = "") -> Progress | None:
-    """Return a progress that reports one of several equal things as a part of all.
+    """Return a callback that reports one of several equal items as a part of all.
 
     Args:
-        progress: gets the progress of all; None: no reports.
-        before: how many are done.
-        count: how many there are.
-        kind: what they are, where the place does not say it.
+        progress: receives the progress of all items; None for no reports.
+        before: number of items already done.
+        count: number of items.
+        kind: name of the items, if the description does not give it.
     """
     name = f"{kind} {before + 1}/{count}," if kind else f"{before + 1}/{count}"
     if progress is None or count == 1:

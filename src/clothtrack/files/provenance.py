@@ -1,4 +1,4 @@
-"""What a result was made with: the commit, the versions, the machine and its processor."""
+"""The commit, the versions, the machine and the processor that a result was made with."""
 
 import importlib.metadata
 import platform
@@ -11,7 +11,7 @@ from pathlib import Path
 from clothtrack.version import __version__
 
 _VECTORS = ("avx512f", "avx2", "avx", "sse4_2", "sve", "asimd")
-"""Instructions for vectors, as Linux calls them, the widest first."""
+"""Vector instruction sets, as Linux calls them, the widest first."""
 
 
 def made_with(packages: Iterable[str]) -> dict[str, object]:
@@ -32,12 +32,12 @@ def made_with(packages: Iterable[str]) -> dict[str, object]:
 
 @cache
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
-    """Return model of the processor, and the widest vectors that it computes with.
+    """Return the model of the processor, and its widest vector instructions.
 
-    Kernels are compiled for the processor that is there, and another kind rounds other last bits.
+    Kernels are compiled for the local processor, and another kind rounds the last bits differently.
 
     Args:
-        listing: what Linux tells of it; elsewhere Python is asked.
+        listing: Linux's description of the processor; elsewhere, Python's is used.
     """
     try:
         text = listing.read_text("utf-8", errors="replace")

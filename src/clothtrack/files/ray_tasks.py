@@ -1,6 +1,6 @@
-"""The same work on many items by Ray: on this machine, or on all machines of a cluster.
+"""The same work on many items with Ray, on this machine or on all machines of a cluster.
 
-It needs the extra [ray], which is imported when the first item is worked on.
+It needs the extra [ray], which is imported when the work begins.
 """
 
 import logging
@@ -27,7 +27,7 @@ _CANCEL_S = 10.0
 """Time for canceled tasks to end [s]."""
 
 _ANSWER_S = 5.0
-"""Time for a cluster to accept a connection [s]; Ray itself tries, and logs, for two minutes."""
+"""Time for a cluster to accept a connection [s]; Ray itself retries and logs for two minutes."""
 
 
 def finished_by_ray(
@@ -39,17 +39,17 @@ def finished_by_ray(
     gpus: float,
     name: Callable[[Item], str],
 ) -> Generator[Result, None, None]:
-    """Do the work of `finished_in_workers` by Ray.
+    """Do the work of `finished_in_workers` with Ray.
 
-    An item has one processor core. Ray repeats one whose worker died three times.
+    Each item has one processor core. If the worker of an item dies, Ray retries it three times.
 
     Args:
         work: a function that can be imported on every machine.
         items: what to work on.
-        address: of a running cluster, such as "auto" or "ray://host:10001"; or "local".
-        workers: cores of the Ray that "local" starts.
-        gpus: graphics cards per item.
-        name: of an item, for the error.
+        address: address of a running cluster, such as "auto" or "ray://host:10001"; or "local".
+        workers: number of cores of the Ray that "local" starts.
+        gpus: GPUs per item.
+        name: returns the name of an item, for the error.
 
     Raises:
         InvalidConfigError: Ray is not installed, or does not answer.
@@ -86,7 +86,7 @@ def _result(ray: Any, job: Any, name: str) -> Any:
 
 
 def _done_in(work: Callable[[Item], Result], item: Item, folder: str) -> Result:
-    """Work on an item in a worker, which has the working directory of the command."""
+    """Do the work on an item in a worker, in the working directory of the command."""
     from clothtrack.geometry.devices import quiet_warp
 
     try:
@@ -98,11 +98,10 @@ def _done_in(work: Callable[[Item], Result], item: Item, folder: str) -> Result:
 
 
 def _connected(address: str, workers: int) -> Any:
-    """Return the module `ray`, connected; a Ray that this program has started is used as it is."""
+    """Return the connected module `ray`; a Ray that this program has already started is reused."""
     os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO="0")
     if address == _LOCAL and not {"RAY_AUTH_MODE", "ray"} & {*os.environ, *sys.modules}:
-        # Its ports are open to the network: only who has the token may use them. It is read once,
-        # when Ray is imported.
+        # Its ports are open to the network, so a token protects them. Ray reads it once, on import.
         os.environ.update(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=os.urandom(32).hex())
     try:
         import ray
@@ -130,7 +129,7 @@ def _connected(address: str, workers: int) -> Any:
 def _signals_held() -> Iterator[None]:
     """Hold Ctrl-C and SIGTERM back while Ray starts.
 
-    It loses the one, aborts by the other, and leaves a handler of its own.
+    While it starts, Ray loses Ctrl-C and aborts on SIGTERM; it also installs its own handler.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -149,7 +148,7 @@ def _signals_held() -> Iterator[None]:
 
 @cache
 def _let_children_be_stopped() -> None:
-    """Let the processes of Ray be stopped although they are started while signals are held."""
+    """Unblock SIGTERM in the processes of Ray, which are started while signals are held back."""
     held = (signal.SIGTERM,)
     os.register_at_fork(after_in_child=lambda: signal.pthread_sigmask(signal.SIG_UNBLOCK, held))
 

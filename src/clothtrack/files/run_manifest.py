@@ -1,4 +1,4 @@
-"""What a folder was begun for: a command goes on with its own work and refuses another's."""
+"""The settings that a folder was begun with, so that only the same work is resumed in it."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -9,19 +9,19 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.atomic_write import storage, write_file
 
 _LONGEST = 40
-"""Characters of a value that a message shows."""
+"""Longest value that a message shows [characters]."""
 
 
 def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings as they are when they come back from JSON."""
+    """Return settings as they come back from JSON."""
     return json.loads(json.dumps(asked, default=str))
 
 
 def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
-    """Note in a file what its folder is for, or refuse a folder that is for something else.
+    """Record the settings of a folder in a file, or refuse a folder begun with others.
 
     Args:
-        path: of the JSON file.
+        path: path of the JSON file.
         asked: everything that the work in the folder depends on.
 
     Raises:
@@ -44,12 +44,12 @@ def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
 
 
 def require_same(path: Path, stored: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Refuse to go on with what was begun with other settings.
+    """Refuse to continue work that was begun with other settings.
 
     Args:
         path: file that holds the settings.
-        stored: what it was begun with.
-        asked: what is asked for now.
+        stored: the settings that it was begun with.
+        asked: the settings requested now.
 
     Raises:
         InvalidConfigError: with the first setting that differs.
@@ -62,7 +62,7 @@ def require_same(path: Path, stored: Mapping[str, Any], asked: Mapping[str, Any]
 
 
 def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield the names of the values that differ, with both of them in a few words."""
+    """Yield the name of each value that differs, with both values shortened."""
     if isinstance(stored, Mapping) and isinstance(asked, Mapping):
         for key in sorted(set(stored) | set(asked)):
             inner = f"{name}.{key}" if name else key

@@ -1,6 +1,6 @@
-"""NPZ files that tell when they are damaged: a SHA-256 of every array, in one array more.
+"""NPZ files that detect damage: one extra array holds the SHA-256 of every array.
 
-ZIP has a checksum of each array itself, which is short and goes along when an array is replaced.
+The checksum that ZIP has of each array is short, and is replaced along with the array.
 """
 
 import json
@@ -25,17 +25,17 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """
     digests = {name: array_digest(values) for name, values in arrays.items()}
     with atomic_file(path) as unfinished, unfinished.open("wb") as file:
-        # First: a damaged directory of the archive loses the last entries.
+        # This comes first, because a damaged directory of the archive loses the last entries.
         np.savez_compressed(file, **{DIGEST: np.array(json.dumps(digests)), **arrays})
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Read arrays that `write_npz` has written; of older files that have no SHA-256 too.
+    """Read arrays that `write_npz` has written, or an older version without SHA-256.
 
     Raises:
-        InvalidResultError: why it cannot be read, or which array is missing or is not what was
-            written; the caller names the file and what to do.
-        OSError: the system does not open it.
+        InvalidResultError: the file cannot be read, or an array is missing or is not what was
+            written; the caller adds the file name and the remedy.
+        OSError: the file cannot be opened.
     """
     with path.open("rb") as file:
         try:

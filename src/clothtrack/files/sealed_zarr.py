@@ -1,6 +1,6 @@
-"""Zarr groups that tell when they are damaged: a SHA-256 of every array, and of all attributes.
+"""Zarr groups that detect damage, by a SHA-256 of every array and of all attributes.
 
-Zarr itself reads a chunk that is missing as zeros, and values that were altered as they are.
+Zarr itself reads a missing chunk as zeros, and does not notice altered values.
 """
 
 import hashlib
@@ -43,24 +43,24 @@ def put_array(
     """Write an array with the SHA-256 of its values.
 
     Args:
-        group: that gets it.
-        name: in the group; may lead through groups below it.
-        values: what is written.
-        unit: of the values.
-        chunks: shape of what lies in one file; the whole array by default.
+        group: group to write to.
+        name: name in the group; may lead through subgroups.
+        values: the array.
+        unit: unit of the values.
+        chunks: shape of the part in one file; the whole array by default.
     """
     values = np.ascontiguousarray(values)
     sizes = tuple(max(1, size) for size in chunks or values.shape)
     array = group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=sizes)
-    # Handed over at once, chunks are written side by side, and when the disk refuses one the others
-    # go on into a folder that is being removed.
+    # A single assignment would write the chunks in parallel: if the disk refuses one, the others
+    # would still be written, into a folder that is being removed.
     for part in _rows(values, sizes):
         array[part] = values[part]
     array.attrs.update({DIGEST: array_digest(values), "unit": unit})
 
 
 def _rows(values: np.ndarray, chunks: tuple[int, ...]) -> Iterator[Any]:
-    """Yield the slices of one row of chunks after the other."""
+    """Yield the slice of each row of chunks."""
     if not values.ndim:
         yield ...
         return
@@ -72,8 +72,7 @@ def take_array(group: zarr.Group, name: str) -> np.ndarray:
     """Read an array that `put_array` has written.
 
     Raises:
-        InvalidResultError: with its name: it is missing, or its values are not those that were
-            written.
+        InvalidResultError: the array is missing, or its values are not those that were written.
     """
     try:
         array = _member(group, name)
@@ -91,20 +90,20 @@ def take_array(group: zarr.Group, name: str) -> np.ndarray:
 
 
 def seal(group: zarr.Group, attributes: Mapping[str, Any]) -> None:
-    """Finish a group: its attributes, what it contains, and a SHA-256 over all attributes.
+    """Finish a group: write its attributes, its contents, and a SHA-256 over all attributes.
 
     Args:
-        group: all below it is written.
-        attributes: of the group itself.
+        group: group in which everything else is written.
+        attributes: attributes of the group itself.
     """
     contents = sorted(name for name, _ in group.members(max_depth=None))
     group.attrs.update({**attributes, CONTENTS: contents})
-    # Last: a group without it was not finished.
+    # This comes last, so that a group without it is unfinished.
     group.attrs[DIGEST] = _digest_of_attributes(group, contents)
 
 
 def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
-    """Return the attributes of a group that `seal` has finished, after checking all below it.
+    """Return the attributes of a sealed group, after checking all attributes below it, too.
 
     Raises:
         InvalidResultError: attributes or parts are missing or are not those that were written.
@@ -135,6 +134,6 @@ def _digest_of_attributes(group: zarr.Group, contents: Iterable[Any]) -> str:
             attributes[name] = _member(group, name).attrs.asdict()
         except DAMAGE as error:
             raise InvalidResultError(f"{name} is missing or cannot be read ({error})") from error
-    # Through JSON once before names are sorted: it makes texts of names that are numbers.
+    # Convert through JSON before sorting names, because it turns numeric names into strings.
     plain = json.loads(json.dumps(attributes))
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()

@@ -14,14 +14,14 @@ from clothtrack.errors import InvalidConfigError
 Config = TypeVar("Config")
 
 _LINE = 120
-"""Most characters of what a setting means."""
+"""Longest description of a setting [characters]."""
 
 
 class Setting(NamedTuple):
     """One value that can be changed by its name.
 
     Attributes:
-        group: dotted name of what it belongs to; empty at the top.
+        group: dotted name of its group; empty at the top.
         name: its own dotted name, with the group.
         value: as it is written in `NAME=VALUE`.
         meaning: first sentence of its description in the docstring of its class, shortened.
@@ -39,7 +39,7 @@ def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Set
     Args:
         config: a dataclass, nested at will, or a mapping.
         group: dotted name of the configuration; empty at the top.
-        meaning: what the entries of a mapping are.
+        meaning: description of the entries of a mapping.
     """
     if isinstance(config, Mapping):
         values, meanings = dict(config), dict.fromkeys(config, meaning)
@@ -51,7 +51,7 @@ def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Set
         name = f"{group}.{key}" if group else str(key)
         if is_dataclass(value) or isinstance(value, Mapping):
             below.append((value, name, meanings.get(key, "")))
-        elif value is not None and not _is_group(value):  # no text can say a table or a sensor
+        elif value is not None and not _is_group(value):  # tables and sensors have no text form
             text = value if isinstance(value, str) else json.dumps(value)
             yield Setting(group, name, text, meanings.get(key, ""))
     for one in below:
@@ -74,8 +74,8 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
 
     Args:
         config: a frozen dataclass, nested at will; mappings may be entered by their keys.
-        settings: `dotted.name=value`; values are written as in JSON, True, False and None as in
-            Python too, and bare words are texts.
+        settings: `dotted.name=value`; values are written as in JSON; True, False and None of Python
+            are accepted, too, and bare words are strings.
 
     Raises:
         InvalidConfigError: naming the setting, what is wrong with it and what is allowed.
@@ -93,7 +93,7 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
                 ) from None
             raise InvalidConfigError(str(unknown)) from None
         except InvalidConfigError as error:
-            # A group knows its own name, and not what it is a part of.
+            # A group knows its own name, but not that of its parent.
             said, _, rest = str(error).partition(" is ")
             if not name.strip().endswith(f".{said}"):
                 raise
@@ -106,7 +106,7 @@ class _UnknownError(InvalidConfigError):
 
 
 def _like(name: str, config: Any) -> list[str]:
-    """Return the settings that may have been meant by a name: similar last parts."""
+    """Return the settings that a wrong name may mean, by the similarity of the last part."""
     last: dict[str, list[str]] = {}
     for setting in settings_of(config):
         last.setdefault(setting.name.rpartition(".")[2], []).append(setting.name)
@@ -125,7 +125,7 @@ def _parsed(text: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
-        # Also a number of more digits than Python reads.
+        # This includes numbers with more digits than Python reads.
         return text
 
 
@@ -146,7 +146,7 @@ def _replaced(owner: Any, path: list[str], value: Any, name: str) -> Any:
 
 
 def _of_same_type(old: Any, new: Any, name: str) -> Any:
-    """Take the new value when it is of the kind that the old one was; lists become tuples."""
+    """Return the new value if it has the type of the old one; lists become tuples."""
     new = tuple(new) if isinstance(new, list) else new
     if isinstance(old, bool) or isinstance(new, bool):
         fits = isinstance(old, bool) and isinstance(new, bool)
@@ -165,13 +165,13 @@ def _of_same_type(old: Any, new: Any, name: str) -> Any:
 
 
 def _is_group(value: Any) -> bool:
-    """Return whether a value is made of settings, and none itself."""
+    """Return whether a value is a group of settings instead of a setting."""
     held = value if isinstance(value, tuple) else (value,)
     return any(is_dataclass(one) or isinstance(one, Mapping) for one in held)
 
 
 def _shown(value: Any) -> str:
-    """Return a value as a message shows it; of a group its name."""
+    """Return a value as a message shows it; for a group, the name of its type."""
     return type(value).__name__ if _is_group(value) else f"{value!r:.120}"
 
 
@@ -182,7 +182,7 @@ _KINDS = {
 
 
 def _kind(value: Any) -> str:
-    """Return what a value is, in words."""
+    """Return the type of a value in words."""
     if _is_group(value):
         return "a group of settings"
     return _KINDS.get(type(value), "a group of settings")
@@ -192,11 +192,11 @@ def from_plain(config: Config, values: Mapping[str, Any]) -> Config:
     """Return a configuration with stored values (`dataclasses.asdict`, through JSON).
 
     Args:
-        config: any of the same type, which says what lies where.
-        values: all fields of it, those below as mappings.
+        config: any configuration of the same type, which gives the structure.
+        values: all fields of it, nested configurations as mappings.
 
     Raises:
-        InvalidConfigError: a field is missing, unknown, or has a value that cannot be.
+        InvalidConfigError: a field is missing, unknown, or has an invalid value.
     """
     known = {field.name for field in fields(config)}
     if differing := sorted(known ^ set(values)):
@@ -217,7 +217,7 @@ def from_plain(config: Config, values: Mapping[str, Any]) -> Config:
 
 
 def _without_lists(value: Any) -> Any:
-    """Return a value with its lists as the tuples that they were before JSON."""
+    """Return a value with its lists turned back into the tuples that they were before JSON."""
     if isinstance(value, Mapping):
         return {key: _without_lists(one) for key, one in value.items()}
     return tuple(map(_without_lists, value)) if isinstance(value, list | tuple) else value

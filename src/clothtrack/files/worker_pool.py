@@ -1,4 +1,4 @@
-"""Worker processes: the same work on many items, in this process, in several, or by Ray."""
+"""The same work on many items: in this process, in worker processes, or with Ray."""
 
 import ctypes
 import os
@@ -20,7 +20,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def require_workers(number: int) -> None:
-    """Refuse a number of worker processes that cannot be.
+    """Refuse a number of worker processes below 1.
 
     Raises:
         InvalidConfigError: with the number.
@@ -30,12 +30,12 @@ def require_workers(number: int) -> None:
 
 
 def start_worker() -> None:
-    """Make this worker process silent, deaf to Ctrl-C and SIGTERM, and end it with its parent.
+    """Make this worker process quiet, let it ignore Ctrl-C and SIGTERM, and end with its parent.
 
-    The parent alone handles signals, which a terminal or a scheduler sends to all processes of a
+    Only the parent handles signals, which a terminal or a scheduler sends to all processes of a
     group. It kills its workers.
     """
-    # Training imports this module where Warp is not installed, and starts no worker there.
+    # Imported here, because training loads this module without Warp and starts no worker.
     from clothtrack.geometry.devices import quiet_warp
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -57,22 +57,22 @@ def finished_in_workers(
     gpus: float = 0.0,
     name: Callable[[Item], str] = str,
 ) -> Generator[Result, None, None]:
-    """Do the same work on many items, and give the results in the order in which they are finished.
+    """Do the same work on many items, and yield the results in the order in which they finish.
 
-    Close it (`contextlib.closing`): after an interrupt or an error the workers are killed at once.
-    What they have half-written is then for the caller to remove.
+    Close it (`contextlib.closing`), so that an interrupt or an error kills the workers at once. The
+    caller must then remove half-written files.
 
     Args:
         work: a function of a module, so that a worker can import it.
         items: what to work on, begun in this order.
-        workers: processes; one works in this process.
-        ray: address of Ray, which is to do the work in place of worker processes.
-        gpus: graphics cards per item that Ray keeps free.
-        name: of an item, for the error.
+        workers: number of processes; 1 works in this process.
+        ray: address of Ray, to run the work there instead of in worker processes.
+        gpus: GPUs that Ray reserves per item.
+        name: returns the name of an item, for the error.
 
     Raises:
-        InvalidConfigError: there are no workers, or Ray is not there.
-        ClothTrackError: a worker died; with the items that were under way.
+        InvalidConfigError: there are no workers, or Ray is not available.
+        ClothTrackError: a worker died; the message names the items in progress.
     """
     require_workers(workers)
     if ray:
@@ -94,13 +94,13 @@ def _finished_in_pool(
     with ProcessPoolExecutor(workers, get_context("spawn"), start_worker) as pool:
         try:
             while True:
-                # No more than there are workers: all that is handed out is under way.
+                # Submit no more items than there are workers: every submitted item is in progress.
                 for item in islice(waiting, workers - len(jobs)):
                     jobs[pool.submit(work, item)] = item
                 if not jobs:
                     break
                 done, _ = wait(jobs, return_when=FIRST_COMPLETED)
-                # What is finished is not under way, though another worker died meanwhile.
+                # Yield finished results first, even if another worker has died.
                 for job in sorted(done, key=lambda job: job.exception() is not None):
                     result = job.result()
                     del jobs[job]

@@ -1,4 +1,4 @@
-"""What camera and picker recorded: the format, its reader, segmentation and point clouds."""
+"""Recordings of camera and picker: the format, its reader, segmentation and point clouds."""
 
 from typing import TYPE_CHECKING
 

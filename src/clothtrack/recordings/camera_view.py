@@ -1,6 +1,6 @@
-"""What each camera saw of the cloth in one frame: its pictures, read and segmented once.
+"""The views of the cameras in one frame: their pictures, read and segmented once.
 
-Decoding a picture costs as much as everything that is made of it.
+Decoding a picture costs as much as everything that is computed from it.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from clothtrack.recordings.segmentation import (
 )
 
 LEAST_JUMP_M = 0.004
-"""Depth that changes by less from one pixel to the next is noise [m]."""
+"""Smaller changes of depth from one pixel to the next are noise [m]."""
 
 _COLOR_BLIND = (HeightSegmenter, MaskFolder)
 _MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter)
@@ -29,14 +29,14 @@ _MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter)
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """What one camera saw of the cloth in one frame.
+    """The view of one camera in one frame.
 
     Attributes:
         camera: the camera.
-        color: its color picture, red first; None where there is none, or nobody looks at it.
+        color: its color picture, red first; None if there is none or it is not needed.
         depth_m: its depth picture [m]; 0 where nothing was measured.
-        mask: where the cloth is.
-        blind: where nothing was measured, or two surfaces are mixed.
+        mask: pixels of the cloth.
+        blind: pixels where nothing was measured, or two surfaces are mixed.
     """
 
     camera: Camera
@@ -53,14 +53,13 @@ def camera_views(
     *,
     color: bool = False,
 ) -> tuple[CameraView, ...]:
-    """Return what the cameras saw that have a depth picture of this frame.
+    """Return the views of all cameras that have a depth picture of this frame.
 
     Args:
         recording: the recording.
         frame: one of its frames.
-        segmenter: finds the cloth; left out, masks, color hint or height do
-            (`default_segmenter`).
-        color: read the color pictures that the segmenter does not look at, too.
+        segmenter: finds the cloth; by default masks, color hint or height (`default_segmenter`).
+        color: also read color pictures that the segmenter does not use.
 
     Raises:
         InvalidRecordingError: a picture cannot be read.
@@ -86,10 +85,9 @@ def flying_pixels(
 ) -> Bool[np.ndarray, "height width"]:
     """Return the pixels that mix two surfaces.
 
-    Depth climbs past them steeply, on both sides the same way.
-
-    Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
-    noise. A pixel on the rim of a surface has a jump on one side only, and stays.
+    At such a pixel depth rises steeply on both sides, or falls steeply on both sides. Steep is more
+    than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of noise. A
+    pixel on the rim of a surface has a jump on one side only, and is kept.
     """
     flying = np.zeros(depth_m.size, dtype=bool)
     depth = depth_m.ravel()
@@ -106,9 +104,9 @@ def flying_pixels(
 def _stepping_twice(
     depth_m: Float[np.ndarray, "height width"], stride: int
 ) -> Int[np.ndarray, " pixels"]:
-    """The few pixels (their number in the picture) where depth steps up twice, or down twice.
+    """Return the few pixels (as flat indices) where depth steps up twice, or down twice.
 
-    The stride is the way to both neighbors: the width of the picture, or 1.
+    The stride is the index distance to both neighbors: the width of the picture, or 1.
     """
     height, width = depth_m.shape
     depth = depth_m.ravel()
@@ -121,6 +119,6 @@ def _stepping_twice(
         twice = (up[stride:] & up[:-stride]) | (down[stride:] & down[:-stride])
         found.append(np.flatnonzero(twice) + first + stride)
     middle = np.concatenate(found)
-    # The last pixel of a row and the first one of the next are no neighbors.
+    # The last pixel of a row and the first one of the next are not neighbors.
     column = middle % width
     return middle[(stride == width) | ((column > 0) & (column < width - 1))]

@@ -1,7 +1,7 @@
-"""Sets of colors: which colors are cloth, looked up by the five highest bits of each channel.
+"""Sets of the colors of cloth, looked up by the five highest bits of each channel.
 
 A set is a table of 32 x 32 x 32 entries, so a printed cloth with twenty colors costs as much as a
-plain one, and asking costs one look-up per pixel.
+plain one: one look-up per pixel.
 """
 
 from collections.abc import Mapping
@@ -20,10 +20,10 @@ BINS = 32
 NO, LOOSE, CORE = 0, 1, 2
 
 _LEAST_SATURATION = 0.2
-"""Saturation (0 to 1) from which a color is known again in other light."""
+"""Saturation (0 to 1) from which a color is recognized in other light."""
 
 _LEAST_VALUE = 0.1
-"""Colors that are darker (0 to 1) have no hue to tell them by."""
+"""Value (0 to 1) below which a color has no usable hue."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
 
 @lru_cache
 def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colors with a name: `CORE` inside its range, `LOOSE` near it."""
+    """Return the set of colors with a name: `CORE` inside its range, `LOOSE` near it."""
     hsv = _all_hsv().reshape(BINS, BINS, BINS, 3)
     ranges = NAMED_COLORS[name.lower()]
     members = np.zeros(hsv.shape[:3], dtype=np.uint8)
@@ -103,15 +103,15 @@ def learned_set(
     cloth: Bool[np.ndarray, "height width"],
     other: Bool[np.ndarray, "height width"],
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colors that are more frequent on the cloth than elsewhere.
+    """Return the set of colors that are more frequent on the cloth than elsewhere.
 
     Two smoothed histograms are compared bin by bin (a likelihood ratio): `CORE` where cloth is
     three times as frequent, `LOOSE` where it is more frequent.
 
     Args:
         color: color picture, red first.
-        cloth: pixels that are cloth, nearly all.
-        other: pixels that are not, nearly all.
+        cloth: pixels of which nearly all are cloth.
+        other: pixels of which nearly none are cloth.
     """
     bins = bin_of(color)
     inside, outside = (
@@ -134,26 +134,26 @@ def with_shades(
     color: UInt8[np.ndarray, "height width 3"],
     cloth: Bool[np.ndarray, "height width"],
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return the set with the same colors in other light, as the cloth's folds will show them.
+    """Return the set extended by the same colors in other light, as in folds of the cloth.
 
-    Light changes the value of a color and leaves hue and saturation. Colors that the rest of the
-    picture has stay as they are, and so do grays, which have no hue.
+    Light changes the value of a color, but not its hue and saturation. Colors of the rest of the
+    picture are not added, and neither are grays, which have no hue.
 
     Args:
         members: set of the cloth's colors in this picture.
         color: the picture, red first.
-        cloth: what of it is cloth.
+        cloth: pixels of the cloth.
     """
     hsv = _all_hsv()
     bins = bin_of(color)
     own = cloth & (members.ravel()[bins] == CORE)
-    # Of the pixels themselves: five bits of a dark color say little of its hue.
+    # Use the pixels themselves, because five bits of a dark color say little about its hue.
     seen = cv2.cvtColor(color[own][None].astype(np.float32) / 255.0, cv2.COLOR_RGB2HSV)[0]
     outside = np.bincount(bins[~cloth], minlength=BINS**3)
     tints = np.zeros((36, 10))
     np.add.at(tints, _tint(seen[seen[:, 1] >= _LEAST_SATURATION]), 1)
     known = tints > 0.002 * max(len(seen), 1)
-    # A neighbor in hue or saturation is the same color: so wide are the steps of five bits.
+    # Neighbors in hue or saturation are the same color, because five bits have such wide steps.
     known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
     shade = (
         np.asarray(known, bool)[_tint(hsv)]
@@ -168,7 +168,7 @@ def with_shades(
 def votes_of(
     color: UInt8[np.ndarray, "height width 3"], members: UInt8[np.ndarray, "32 32 32"]
 ) -> UInt8[np.ndarray, "height width"]:
-    """Return what a set of colors says of every pixel: `CORE`, `LOOSE` or `NO`."""
+    """Return the vote of a set of colors on every pixel: `CORE`, `LOOSE` or `NO`."""
     table = members.ravel()
     votes = np.empty(color.shape[:2], dtype=np.uint8)
     for rows in bands(len(color)):
@@ -179,8 +179,8 @@ def votes_of(
 def bin_of(
     color: UInt8[np.ndarray, "height width 3"],
 ) -> UInt16[np.ndarray, "height width"]:
-    """Return number of the table entry of every pixel."""
-    # OpenCV packs five bits a channel in one pass: what is red here is called blue there.
+    """Return the index of the table entry of every pixel."""
+    # OpenCV packs five bits per channel in one pass; its blue is our red.
     return cv2.cvtColor(color, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
 
 
@@ -192,7 +192,7 @@ def _all_hsv() -> Float[np.ndarray, "colors 3"]:
 
 
 def _tint(hsv: Float[np.ndarray, "colors 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Step of hue (ten degrees) and of saturation (a tenth) of every color."""
+    """Return the step of hue (ten degrees) and of saturation (a tenth) of every color."""
     return (hsv[:, 0] // 10).astype(int) % 36, np.minimum((hsv[:, 1] * 10).astype(int), 9)
 
 

@@ -33,13 +33,13 @@ def write_corrected(
 ) -> tuple[Correction, ...]:
     """Write a copy with every correction that the findings carry; the original stays as it is.
 
-    Masks go with the color, which they are made from, unless a finding says that they do not
-    fit it.
+    Masks are corrected like the color, which they are made from, unless a finding says that they
+    do not fit it.
 
     Args:
-        recording: the recording, of one camera where pictures are to be changed.
-        findings: of `check_geometry`.
-        folder: of the copy; must not exist.
+        recording: the recording, with one camera if pictures are to be changed.
+        findings: findings of `check_geometry`.
+        folder: folder of the copy; must not exist.
 
     Returns:
         The corrections that were made.
@@ -89,7 +89,7 @@ def _write_frames(
     *,
     masks_follow: bool,
 ) -> None:
-    """Write every frame with its streams paired anew; times are those of the stream in time."""
+    """Write every frame with its streams paired anew; times are those of the timely stream."""
     late = [each for each in corrections if isinstance(each, StreamDelay)]
     behind = {each.stream: each.frames for each in late}
     factor = float(np.prod([each.factor for each in corrections if isinstance(each, ClockScale)]))
@@ -119,12 +119,12 @@ def _write_frames(
 
 
 def _delay(corrections: Sequence[Correction]) -> int:
-    """Frames at the end that lose their partner."""
+    """Return the number of frames at the end that lose their partner."""
     return sum(each.frames for each in corrections if isinstance(each, StreamDelay))
 
 
 def _changes(camera: Camera, corrections: Sequence[Correction]) -> tuple[_Change, _Change]:
-    """What is done to each color picture of a camera, and to each depth picture."""
+    """Return the changes to the color pictures of a camera, and to its depth pictures."""
 
     def change(picture: np.ndarray, *, color: bool) -> np.ndarray:
         for each in corrections:
@@ -138,7 +138,7 @@ def _changes(camera: Camera, corrections: Sequence[Correction]) -> tuple[_Change
 
 
 def _placed(picture: np.ndarray, correction: Correction) -> np.ndarray:
-    """The color where the depth is; black where it does not reach."""
+    """Return a color picture moved onto the depth; black where it does not reach."""
     height, width = picture.shape[:2]
     if isinstance(correction, ColorFlip):
         rows, columns = (-1 if turn else 1 for turn in (correction.rows, correction.columns))
@@ -156,7 +156,7 @@ def _placed(picture: np.ndarray, correction: Correction) -> np.ndarray:
 
 
 def _undistorted(picture: np.ndarray, camera: Camera, k1: float) -> np.ndarray:
-    """The picture as a pinhole of the same intrinsics would have it; depth is not blended."""
+    """Return the picture of a pinhole camera of the same intrinsics; depth is not blended."""
     matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     columns, rows = cv2.initUndistortRectifyMap(
         matrix, np.array([k1, 0.0, 0.0, 0.0]), np.eye(3), matrix, picture.shape[1::-1],
@@ -166,7 +166,7 @@ def _undistorted(picture: np.ndarray, camera: Camera, k1: float) -> np.ndarray:
 
 
 def _corrected_path(path: PickerPath, corrections: Sequence[Correction]) -> PickerPath:
-    """The path by the right clock, at rest before and after, so that it covers what it covered."""
+    """Return the path by the right clock, extended at rest so that it covers the same times."""
     for each in corrections:
         if isinstance(each, ClockScale):
             path = replace(path, time_s=path.time_s * each.factor)

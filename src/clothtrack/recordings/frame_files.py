@@ -1,4 +1,4 @@
-"""Which files show each frame: named in the document or found by their conventional names."""
+"""The files of each frame, named in the document or found by their conventional names."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -26,7 +26,7 @@ def conventional_name(kind: FileKind, frame: int, camera: str | None = None) -> 
 
 
 def named_file(folder: Path, name: str, field: str, violations: Violations) -> Path | None:
-    """Return absolute path of a file that a field names; None when it leads out of the folder."""
+    """Return the absolute path of a file that a field names; None if it leaves the folder."""
     written = PurePosixPath(name)
     if not (written.is_absolute() or ".." in written.parts or "\\" in name or "\0" in name):
         path = folder / written

@@ -1,4 +1,4 @@
-"""The digest of all that is read from a recording."""
+"""The digest of everything that is read from a recording."""
 
 import hashlib
 import json
@@ -13,18 +13,18 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.violation import DOCUMENT
 
 DIGEST_FIELD = "recording_sha256"
-"""Where the provenance of a result has the digest of its recording."""
+"""Field of a result's provenance that has the digest of its recording."""
 
 _PLAIN = ("kind", "color", "size_m", "grasp_uncertainty_m")
-"""What is known of a cloth in words and numbers."""
+"""Fields of a cloth that are plain words or numbers."""
 
 
 def recording_digest(recording: Recording) -> str:
     """Return the SHA-256 over the content of every file that a recording is read from.
 
-    The document, the pickers' paths, the template and all pictures and clouds. Where the folder
-    lies does not count, and neither do its other files. Of a recording in memory the same is
-    counted, array by array.
+    These are the document, the pickers' paths, the template, and all pictures and clouds. The
+    location of the folder and its other files do not count. For a recording in memory, the same
+    content is hashed, array by array.
 
     Raises:
         StorageError: a file cannot be read.

@@ -1,4 +1,4 @@
-"""What a recording holds and what is wrong with it: the answer of `clothtrack inspect`."""
+"""What a recording holds and what is wrong with it: the result of `clothtrack inspect`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -23,15 +23,15 @@ _LISTED = 20
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a recording holds and what is wrong with it.
+    """The contents of a recording, and what is wrong with it.
 
     Attributes:
-        folder: where it lies.
+        folder: folder of the recording.
         facts: what it holds ("frames": "50, from 0 to 2.45 s"); empty when it cannot be read.
         notes: what is allowed but worth knowing before tracking.
         violations: everything that is wrong; empty for a valid recording.
-        geometry: what of a valid recording its own pictures contradict; empty for a right one.
-        corrections: that a copy was written with; empty where none was asked for.
+        geometry: where the pictures of a valid recording contradict it; empty for a right one.
+        corrections: corrections of the written copy; empty if none was requested.
         corrected: folder of that copy.
     """
 
@@ -50,11 +50,11 @@ class Inspection:
 
     @property
     def ok(self) -> bool:
-        """The same, as of everything that can be inspected."""
+        """The same, under the name that everything inspected has."""
         return self.valid
 
     def text(self) -> str:
-        """The inspection for a person, at most some 40 lines."""
+        """Return the inspection for a person, in at most some 40 lines."""
         if self.violations:
             count = len(self.violations)
             lines = [f"{self.folder}: {count} thing{'s' if count > 1 else ''} to correct"]
@@ -79,7 +79,7 @@ class Inspection:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, object]:
-        """The inspection for a program: strings, lists and dictionaries, as JSON holds them."""
+        """Return the inspection for a program, as JSON-compatible values."""
         return {
             "path": str(self.folder),
             "kind": "recording",
@@ -95,7 +95,7 @@ class Inspection:
 
 
 def _as_dict(finding: Finding) -> dict[str, object]:
-    """A finding for a program; its correction says of what kind it is."""
+    """Return a finding for a program, with the kind of its correction."""
     content = asdict(finding)
     if finding.correction is not None:
         content["correction"] = {"kind": type(finding.correction).__name__, **content["correction"]}
@@ -103,11 +103,11 @@ def _as_dict(finding: Finding) -> dict[str, object]:
 
 
 def inspect(folder: Recording | Path | str, *, suggest: Path | None = None) -> Inspection:
-    """Look through a recording: every picture is decoded, and its geometry held against them.
+    """Inspect a recording: decode every picture, and compare the stated geometry with them.
 
     Args:
-        folder: with a recording.json; or a recording that was read, or made of arrays.
-        suggest: folder of a copy with what is doubtful corrected, where that can be computed.
+        folder: folder with a recording.json; or a `Recording`, read or made of arrays.
+        suggest: folder for a copy in which doubtful values are corrected, if computable.
 
     Raises:
         InvalidRecordingError: nothing that was found can be corrected.
@@ -182,7 +182,7 @@ def _table(recording: Recording) -> str:
 
 
 def _table_finder(recording: Recording) -> str:
-    """The command that finds the table; it leaves a world alone in which a path stands."""
+    """Return the command that finds the table; it keeps a world in which a path is given."""
     posed = any((camera.world_from_camera != np.eye(4)).any() for camera in recording.cameras)
     keep = " --keep-world" if posed and recording.picker_paths else ""
     return f"clothtrack calibrate-camera{keep}"
@@ -212,7 +212,7 @@ def _cloth(recording: Recording) -> str:
 
 
 def _notes(recording: Recording, *, cut_off: bool) -> tuple[str, ...]:
-    """What is worth knowing; a cloth that leaves the picture is said once."""
+    """Return what is worth knowing; a cloth that leaves the picture is mentioned once."""
     notes = []
     if not recording.actions:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
@@ -237,7 +237,7 @@ def _notes(recording: Recording, *, cut_off: bool) -> tuple[str, ...]:
 
 
 def _without_template(recording: Recording) -> str:
-    """What follows from the missing template, and what else is missing."""
+    """Return what follows from the missing template, and what else is missing."""
     kind = recording.cloth.kind
     if kind not in ("towel", "tshirt"):
         text = "only a towel or a T-shirt on a table is tracked without one"

@@ -1,4 +1,4 @@
-"""One mesh in one file that other programs read and write too: OBJ, PLY, STL or GLB, in meters."""
+"""Mesh files that other programs read and write, too: OBJ, PLY, STL or GLB, in meters."""
 
 from pathlib import Path
 
@@ -15,17 +15,17 @@ READ_SUFFIXES = (".obj", ".ply", ".stl")
 WRITTEN_SUFFIXES = (*READ_SUFFIXES, ".glb")
 
 _Y_UP = trimesh.transformations.rotation_matrix(-0.5 * np.pi, [1.0, 0.0, 0.0])
-"""From our world with z up to that of glTF with y up."""
+"""Transform from our world with z up to that of glTF with y up."""
 
 _VERTEX_ERROR = "expected_error_m"
-"""Property of a PLY's vertices: the expected distance from where they really are [m]."""
+"""Property of a PLY's vertices: the expected distance from their true positions [m]."""
 
 
 def require_mesh_format(path: Path, suffixes: tuple[str, ...] = WRITTEN_SUFFIXES) -> None:
-    """Refuse a mesh file whose suffix names no format that is written, or read.
+    """Refuse a mesh file whose suffix is not among those written, or read.
 
     Raises:
-        InvalidConfigError: naming those that are.
+        InvalidConfigError: another suffix; the message names the right ones.
     """
     if path.suffix.lower() not in suffixes:
         choice = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}"
@@ -37,12 +37,13 @@ def write_mesh(
 ) -> None:
     """Write a mesh [m] in the format of its suffix, whole or not at all.
 
-    The order of the vertices stays. A GLB has a node that turns z up to y up, as glTF asks.
+    The order of the vertices is kept. A GLB has a node that turns z up to y up, as glTF requires.
 
     Args:
         mesh: the mesh.
-        path: of the file.
-        expected_error_m: of each vertex [m]; only a PLY keeps it, as a property of its vertices.
+        path: path of the file.
+        expected_error_m: expected error of each vertex [m]; only a PLY keeps it, as a property of
+            its vertices.
 
     Raises:
         InvalidConfigError: no such format.
@@ -63,7 +64,7 @@ def write_mesh(
 
 
 def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
-    """Return the expected error of each vertex [m] that a PLY keeps; None where it keeps none.
+    """Return the expected error of each vertex [m] that a PLY keeps; None if there is none.
 
     Raises:
         InvalidMeshError: the file is missing or damaged.
@@ -84,7 +85,7 @@ def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
 def read_mesh(path: Path) -> ClothMesh:
     """Read a mesh [m] from an OBJ, PLY or STL file.
 
-    STL has no shared vertices: those at one place are taken for one.
+    STL has no shared vertices, so vertices at the same place are merged.
 
     Raises:
         InvalidConfigError: another suffix.

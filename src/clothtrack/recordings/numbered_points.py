@@ -1,4 +1,4 @@
-"""Points of the cloth in one picture, by number, and which others were beside each."""
+"""Numbered points of the cloth in one picture, with the neighbors of each."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -7,14 +7,14 @@ from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import cKDTree
 
 NEIGHBORS = 8
-"""So many points that were beside one say whether it is where it is taken to be."""
+"""Number of neighbors that decide whether a point was followed correctly."""
 
 _STRETCH = 1.1, 0.004
-"""Too far apart is more than so many times the distance before, and so much [m]: cloth hardly
-stretches."""
+"""Points farther apart than this multiple of their earlier distance plus this slack [m] are too far
+apart, because cloth hardly stretches."""
 
 NOBODY = -1
-"""Stands for a neighbor that there is not."""
+"""Stands for a missing neighbor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +22,11 @@ class NumberedPoints:
     """Points in one picture, in the order of their numbers.
 
     Attributes:
-        numbers: which points of the cloth they are.
-        pixels: where they are.
-        steps: how far they went from the picture before [pixels].
-        beside: numbers of those that were beside each where points were last chosen, or `NOBODY`.
-        apart_m: how far away those were [m].
+        numbers: numbers of the material points.
+        pixels: their places in the picture [pixels].
+        steps: their motion since the previous picture [pixels].
+        beside: numbers of each one's neighbors when points were last chosen, or `NOBODY`.
+        apart_m: distances to those neighbors at that time [m].
     """
 
     numbers: Int[np.ndarray, " points"]
@@ -39,28 +39,28 @@ class NumberedPoints:
     def fresh(
         cls, numbers: Int[np.ndarray, " points"], pixels: Float32[np.ndarray, "points 2"]
     ) -> "NumberedPoints":
-        """Return points that have not moved yet, with nobody beside them."""
+        """Return points that have not moved yet and have no neighbors."""
         nobody = np.full((len(numbers), NEIGHBORS), NOBODY)
         points = cls(numbers, pixels, np.zeros_like(pixels), nobody, np.zeros(nobody.shape))
         return points[np.argsort(numbers)]
 
     @classmethod
     def none(cls) -> "NumberedPoints":
-        """No point."""
+        """Return an empty set of points."""
         return cls.fresh(np.zeros(0, np.int64), np.zeros((0, 2), np.float32))
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of points."""
         return len(self.numbers)
 
     def __getitem__(
         self, part: Bool[np.ndarray, " points"] | Int[np.ndarray, " part"]
     ) -> "NumberedPoints":
-        """Return those of a part."""
+        """Return a part of the points."""
         return NumberedPoints(*(getattr(self, each.name)[part] for each in fields(self)))
 
     def at(self, pixels: Float32[np.ndarray, "points 2"]) -> "NumberedPoints":
-        """Return the same in the next picture."""
+        """Return the same points at their places in the next picture."""
         return replace(self, pixels=pixels, steps=pixels - self.pixels)
 
     def are_in(self, others: "NumberedPoints") -> Bool[np.ndarray, " points"]:
@@ -68,7 +68,7 @@ class NumberedPoints:
         return np.isin(self.numbers, others.numbers)
 
     def together_with(self, others: "NumberedPoints") -> "NumberedPoints":
-        """These and others, none of which is among them."""
+        """Return these and other points; the two sets must be disjoint."""
         pairs = ((getattr(self, each.name), getattr(others, each.name)) for each in fields(self))
         both = NumberedPoints(*(np.concatenate(pair) for pair in pairs))
         return both[np.argsort(both.numbers)]
@@ -76,21 +76,21 @@ class NumberedPoints:
     def with_neighbors(
         self, positions: Float[np.ndarray, "points 3"], among: Bool[np.ndarray, " points"]
     ) -> "NumberedPoints":
-        """Return the same with those beside each that are nearest here [m].
+        """Return the same with the nearest neighbors of each at these positions [m].
 
-        Some are asked for only.
+        Only the points in `among` count as neighbors.
         """
         if not among.any():
             return self
         apart, place = cKDTree(positions[among]).query(positions, k=NEIGHBORS + 1)
-        # By number, because others will be lost.
+        # Stored by number, because places change when points are lost.
         beside = np.append(self.numbers[among], NOBODY)[place[:, 1:]]
         return replace(self, beside=beside, apart_m=apart[:, 1:])
 
     def near_each_other(
         self, positions: Float[np.ndarray, "points 3"]
     ) -> Bool[np.ndarray, " points"]:
-        """Whether each, being here [m], is near most of those beside it that are not lost."""
+        """Return whether each is near most of its remaining neighbors at these positions [m]."""
         if not len(self):
             return np.zeros(0, dtype=bool)
         place = np.minimum(np.searchsorted(self.numbers, self.beside), len(self) - 1)

@@ -1,10 +1,11 @@
-"""Where small windows of one picture are in another, whatever the light does and however fast.
+"""Motion of small windows between two pictures, under changing light and at any speed.
 
 Windows are followed by B. Lucas and T. Kanade's method ("An iterative image registration technique
-with an application to stereo vision", IJCAI 1981; OpenCV's), from a guess, and back again: what
-comes home is found (Z. Kalal, K. Mikolajczyk, J. Matas, "Forward-backward error: automatic
-detection of tracking failures", doi:10.1109/ICPR.2010.675). No smaller pictures are searched first,
-as is usual for fast motion: in those a weave vanishes, or is taken for the weave beside it.
+with an application to stereo vision", IJCAI 1981; OpenCV's), from a guess, and back again. A window
+that returns to its start counts as found (Z. Kalal, K. Mikolajczyk, J. Matas, "Forward-backward
+error: automatic detection of tracking failures", doi:10.1109/ICPR.2010.675). Smaller pictures,
+which are usual for fast motion, are not searched first, because in them a weave vanishes or is
+mistaken for the weave beside it.
 """
 
 import cv2
@@ -16,46 +17,46 @@ WINDOW_PX = 15
 """Side of the window that is compared [pixels]."""
 
 _HOME_PX = 0.25
-"""A point that ends farther from home than this [pixels] when it is followed back is not found."""
+"""A point that ends farther from its start than this [pixels] when followed back is not found."""
 
 SMOOTH_PX = 1.5
-"""Standard deviation by which a picture is smoothed first [pixels]: noise of single pixels makes
-windows of the same cloth different."""
+"""Standard deviation by which a picture is smoothed first [pixels], because noise of single pixels
+makes windows of the same cloth differ."""
 
 _EVEN_SCALE = 40.0
 """Gray values of one standard deviation in an even picture."""
 
 _MOST_DIFFERENT = 15.0
-"""Gray values by which a window may differ on average from that which it is taken for. Windows of
-even pictures that have nothing to do with each other differ by 45."""
+"""Largest mean difference of matching windows [gray values]. Unrelated windows of even pictures
+differ by 45."""
 
 _LEAST_DEVIATION = 1.0
 """Added to the standard deviation [gray values], so that noise of plain cloth stays small."""
 
 _NEAR_PX = 60.0
-"""How far away [pixels] a point may be that says where another has gone."""
+"""Largest distance [pixels] of a found point that predicts the motion of another."""
 
 _TOLD_BY = 8
-"""So many points that were found say where one beside them has gone."""
+"""Number of found points that predict the motion of one beside them."""
 
 _AROUND_PX = WINDOW_PX + 16
-"""Around the windows pictures are cut so far away [pixels]: nothing is followed farther from its
-guess than a window is wide, and slopes of the whole picture cost more than the search."""
+"""Margin around the windows to which pictures are cut [pixels]: nothing is followed farther from
+its guess than a window is wide, and slopes of the whole picture cost more than the search."""
 
 ROUNDS = 4
-"""Most times that points which were not found are looked for where those beside them have gone."""
+"""Most rounds in which missing points are searched where their neighbors have moved."""
 
 
 def even_picture(
     gray: UInt8[np.ndarray, "height width"], cloth: Bool[np.ndarray, "height width"]
 ) -> UInt8[np.ndarray, "height width"]:
-    """Brightness less its mean, over its standard deviation, of the cloth in a window around.
+    """Return the brightness of the cloth, normalized by its mean and deviation in a window.
 
-    Cloth that is lifted turns dark or bright; what is printed on it, or woven, keeps its pattern.
+    Lifted cloth turns dark or bright, but the pattern of its print or weave is kept.
 
     Args:
         gray: brightness.
-        cloth: which pixels are cloth; the others become even gray.
+        cloth: pixels of the cloth; the others become uniform gray.
     """
     even = np.full(gray.shape, 128, np.uint8)
     rows, columns = np.flatnonzero(cloth.any(axis=1)), np.flatnonzero(cloth.any(axis=0))
@@ -82,11 +83,11 @@ def carried(
     """Return where windows of one even picture are in the next, and which were found.
 
     Args:
-        before: the one.
-        after: the next.
-        pixels: the middles of the windows in it.
-        steps: how far each went the last time [pixels]: it is looked for as far again, and then
-            where those that are found beside it have gone.
+        before: the first even picture.
+        after: the next one.
+        pixels: centers of the windows in the first.
+        steps: last motion of each window [pixels]: it is searched as far again, and then where its
+            neighbors that were found have moved.
     """
     there, found = matched(before, after, pixels, steps)
     for _ in range(ROUNDS):
@@ -105,7 +106,7 @@ def matched(
     pixels: Float32[np.ndarray, "points 2"],
     guess: Float32[np.ndarray, "points 2"],
 ) -> tuple[Float32[np.ndarray, "points 2"], Bool[np.ndarray, " points"]]:
-    """Where windows of one even picture are in another, near a guess of how far they went."""
+    """Return where windows of one even picture are in another, near a guess of their motion."""
     if not len(pixels):
         return pixels.copy(), np.zeros(0, dtype=bool)
     there, found = _lucas_kanade(before, after, pixels, pixels + guess)
@@ -118,7 +119,7 @@ def moved_with(
     others: Float32[np.ndarray, "others 2"],
     moves: Float32[np.ndarray, "others 2"],
 ) -> tuple[Float32[np.ndarray, "points 2"], Bool[np.ndarray, " points"]]:
-    """How far others went that were beside each point [pixels], and which had one beside it."""
+    """Return the motion of the others beside each point [pixels], and which had one beside."""
     if not len(pixels) or not len(others):
         return np.zeros_like(pixels), np.zeros(len(pixels), dtype=bool)
     told_by = min(_TOLD_BY, len(others))
@@ -136,7 +137,7 @@ def _lucas_kanade(
     guess: Float32[np.ndarray, "points 2"],
 ) -> tuple[Float32[np.ndarray, "points 2"], Bool[np.ndarray, " points"]]:
     height, width = before.shape
-    # What lies outside is not found there either; a part that is empty would be an error.
+    # Points outside the picture are not found anyway, and an empty part would be an error.
     ends = np.clip(np.concatenate([pixels, guess]), 0.0, (width - 1.0, height - 1.0))
     low = np.clip(np.floor(ends.min(axis=0)).astype(int) - _AROUND_PX, 0, None)
     high = np.ceil(ends.max(axis=0)).astype(int) + _AROUND_PX + 1

@@ -1,4 +1,4 @@
-"""The file `picker.csv`: where every picker's tip was, and when it was closed."""
+"""The file `picker.csv`: the path of every picker's tip, and when the picker was closed."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,7 +50,7 @@ def read_picker_paths(path: Path) -> dict[str, PickerPath]:
 
 
 def picker_text(paths: Mapping[str, PickerPath]) -> str:
-    """Return the CSV file of the pickers' paths; every digit, so that reading gives them back."""
+    """Return the CSV file of the pickers' paths, with all digits so that reading is exact."""
     lines = [",".join(COLUMNS)]
     for name, path in paths.items():
         samples = zip(path.time_s.tolist(), path.positions.tolist(), path.closed, strict=True)

@@ -1,9 +1,9 @@
-"""Color, depth, mask and cloud files: read whole or refused, never half a picture.
+"""Color, depth, mask and cloud files, which are read whole or refused.
 
-What is in memory already is returned as it is: whoever reads a frame need not know where it lies.
+Data in memory is returned as it is, so that a caller need not know where a frame is stored.
 
-OpenCV 4 decodes a PNG that breaks off in the middle and leaves the rest black, which would be a
-silent hole in the cloth. So every file is walked chunk by chunk first.
+OpenCV 4 decodes a truncated PNG and leaves the rest black, which would be a silent hole in the
+cloth. Every file is therefore checked chunk by chunk first.
 """
 
 import struct
@@ -33,7 +33,7 @@ _TORN = "the file breaks off; copy or record it again"
 
 @dataclass(frozen=True)
 class PngHeader:
-    """What the first bytes of a PNG file say.
+    """The header of a PNG file.
 
     Attributes:
         width: picture width [pixels].
@@ -49,10 +49,10 @@ class PngHeader:
 
 
 def read_header(path: Path) -> PngHeader:
-    """Return size and kind of a PNG file, from its first and last bytes only.
+    """Return the size and kind of a PNG file, from its first and last bytes only.
 
     Raises:
-        InvalidRecordingError: the file is missing, not a PNG or breaks off.
+        InvalidRecordingError: the file is missing, not a PNG or truncated.
     """
     try:
         with path.open("rb") as file:
@@ -138,7 +138,7 @@ def read_mask(
 def read_cloud(
     cloud: Path | Float[np.ndarray, "points 3"],
 ) -> Float[np.ndarray, "points 3"]:
-    """Point cloud of one moment, world frame [m], from the array `points` of an npz file.
+    """Return the point cloud of a frame in the world [m], the array `points` of an npz file.
 
     Args:
         cloud: the file, or the points themselves, which are returned as they are.
@@ -177,15 +177,15 @@ def read_cloud(
 def encode_png(picture: np.ndarray, *, by_rows: bool = False) -> bytes:
     """Return the PNG file of a gray (8 or 16 bits) or color (8 bits, red first) picture; lossless.
 
-    Fast compression: a recording is written while the robot moves. Differences to the left
-    neighbor, packed by run lengths and Huffman codes, cost half of what searching for repeated
-    strings does, and on measured pictures take less room.
+    Compression is fast, because a recording is written while the robot moves. Differences to the
+    left neighbor, packed by run lengths and Huffman codes, cost half as much as a search for
+    repeated strings, and take less space for measured pictures.
 
     Args:
-        picture: to encode.
-        by_rows: differences to the pixel above instead. Cameras that interpolate or compress
-            along their rows leave less of them: pictures of two real depth cameras take 4 to
-            18 % less room and about 10 % less time, rendered ones up to twice the room.
+        picture: the picture to encode.
+        by_rows: encode differences to the pixel above instead. They are smaller for cameras that
+            interpolate or compress along their rows: pictures of two real depth cameras take 4 to
+            18 % less space and about 10 % less time, rendered ones up to twice the space.
     """
     ordered = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
     done, data = cv2.imencode(
@@ -202,7 +202,7 @@ def bands(height: int) -> Iterator[slice]:
 
 
 def depth_problem(header: PngHeader) -> str:
-    """Says in which way a PNG is not a depth picture."""
+    """Return why a PNG is not a depth picture."""
     if header.color_type != GRAY:
         return f"a depth picture of PNG color type {header.color_type} (color, not gray)"
     return f"a depth picture of {header.bits} bits"
@@ -217,10 +217,10 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
 
 
 def check_chunks(path: Path, data: bytes) -> PngHeader:
-    """Return size and kind of a whole PNG; every chunk's checksum is held against its bytes.
+    """Return the size and kind of a PNG, after checking the checksum of every chunk.
 
     Raises:
-        InvalidRecordingError: not a PNG, or it breaks off, or a byte was changed.
+        InvalidRecordingError: it is not a PNG, or is truncated, or a byte was changed.
     """
     header = parse_header(path, data[:29], data[-len(_END) :])
     for _ in png_chunks(path, data):
@@ -229,10 +229,10 @@ def check_chunks(path: Path, data: bytes) -> PngHeader:
 
 
 def png_chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, slice]]:
-    """Kind of every chunk of a PNG and where its content lies, when its checksum is right.
+    """Yield the kind of every chunk of a PNG and the slice of its content, if it is intact.
 
     Raises:
-        InvalidRecordingError: it breaks off, or a byte was changed.
+        InvalidRecordingError: it is truncated, or a byte was changed.
     """
     position = len(SIGNATURE)
     while position < len(data):
@@ -250,10 +250,10 @@ def png_chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, slice]]:
 
 
 def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
-    """Return size and kind of a PNG, from its first 29 and last 12 bytes.
+    """Return the size and kind of a PNG, from its first 29 and last 12 bytes.
 
     Raises:
-        InvalidRecordingError: not a PNG, or it breaks off.
+        InvalidRecordingError: it is not a PNG, or is truncated.
     """
     if not start.startswith(SIGNATURE):
         problem = "the file is empty" if not start else "not a PNG file"

@@ -1,4 +1,4 @@
-"""What the cameras saw of the cloth in one frame: points, and where they were blind."""
+"""The observation of the cloth in one frame: points, and where the cameras were blind."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,16 +18,16 @@ from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter, bounds_of, height_picture
 
 SPACING_M = 0.004
-"""Side of the cubes [m] in which points are averaged, where nobody asks for another."""
+"""Default side of the cubes [m] in which points are averaged."""
 
 _CUT_MARGIN_M = 0.012
 _TOOL_HEIGHT_M = 0.015
 _STRAY_SHARE = 0.04
-"""Clusters of less than this share of the points are not of the cloth."""
+"""Clusters with less than this share of the points are not cloth."""
 LINK_M = 0.012
 """Distance over which points belong together [m]."""
 _MOST_CELLS = 1 << 20
-"""Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
+"""Largest number of cubes around the cloth that are marked in a grid; more are sorted."""
 
 _HALF_NEIGHBORS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
@@ -41,7 +41,7 @@ class FollowedPoints:
     Attributes:
         numbers: one per point, ascending; the same number is the same material point in every
             frame.
-        positions: where they are in the world [m].
+        positions: positions in the world [m].
     """
 
     numbers: Int[np.ndarray, " followed"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -50,7 +50,7 @@ class FollowedPoints:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was seen of the cloth in one frame.
+    """The observation of the cloth in one frame.
 
     Attributes:
         points: points of the cloth in the world [m].
@@ -60,8 +60,8 @@ class Observation:
         lowest_height_m: world height [m] under which points were cut away, or None.
         tool_positions: tip of every picker in the world [m].
         tool_clearance_m: radius around the tips [m] within which points were cut away.
-        followed: points that are followed from picture to picture; none unless somebody asked for
-            them (`clothtrack.recordings.point_following`).
+        followed: points that are followed from picture to picture; none unless requested
+            (`clothtrack.recordings.point_following`).
     """
 
     points: Float[np.ndarray, "points 3"]
@@ -75,11 +75,11 @@ class Observation:
     def unobservable(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> Bool[np.ndarray, " vertices"]:
-        """True where a visible vertex may lack a point nearby without being in the wrong place.
+        """Return which visible vertices may lack a point nearby although they are placed right.
 
-        So it is outside every picture or on a hidden pixel of those that it falls in, under the
-        cut or less than 12 mm above it, or inside the clearance of a tool. Whether cloth hides
-        cloth is another question: `clothtrack.geometry.visibility` answers it.
+        These are outside every picture or on a hidden pixel of those that they fall in, under the
+        cut or less than 12 mm above it, or inside the clearance of a tool. Occlusion of cloth by
+        cloth is computed elsewhere (`clothtrack.geometry.visibility`).
         """
         unobservable = np.ones(len(vertices), dtype=bool)
         for camera in self.cameras:
@@ -98,13 +98,12 @@ def observe(
     *,
     spacing_m: float | None = SPACING_M,
 ) -> Observation:
-    """Return points of the cloth in the world, from all cameras or from the frame's cloud.
+    """Return the points of the cloth in the world, from all cameras or from the frame's cloud.
 
     Args:
         recording: the recording.
         frame: one of its frames.
-        segmenter: finds the cloth; left out, masks, color hint or height do
-            (`default_segmenter`).
+        segmenter: finds the cloth; by default masks, color hint or height (`default_segmenter`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
 
     Raises:
@@ -121,12 +120,12 @@ def observation_of(
     *,
     spacing_m: float | None = SPACING_M,
 ) -> Observation:
-    """Return points of the cloth in the world, from what the cameras saw or from the frame's cloud.
+    """Return the points of the cloth in the world, from camera views or from the frame's cloud.
 
     Args:
         recording: the recording.
         frame: one of its frames.
-        views: what its cameras saw (`camera_views`).
+        views: views of its cameras (`camera_views`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
 
     Raises:
@@ -145,7 +144,7 @@ def observation_of(
             middle = float(np.median(depth[window][shown[window]]))
             pixel_m = max(pixel_m, middle / camera.fx)
     if frame.cloud is not None:
-        # The recording's own merged cloud stands for all cameras.
+        # The recording's own merged cloud replaces those of all cameras.
         clouds = [read_cloud(frame.cloud)]
     points = np.concatenate(clouds) if clouds else np.zeros((0, 3))
     if spacing_m is not None:
@@ -177,10 +176,10 @@ def hidden_pixels(
 ) -> Bool[np.ndarray, "height width"]:
     """Return the pixels where cloth could not have been seen, with two pixels around them.
 
-    Those are the blind ones, and those that show neither cloth nor table but something that stands
-    more than 15 mm above the table: the tool. Specks narrower than three pixels hide nothing, for
-    the cloth right beside them was seen. (Real depth is riddled with them: with specks, 99.8 % of
-    the pixels of a well measured hanging cloth would count as hidden.) Without a table, what is
+    These are the blind pixels and those of the tool, which show neither cloth nor table but
+    something more than 15 mm above the table. Specks narrower than three pixels hide nothing,
+    because the cloth beside them was seen. (Real depth is full of them: with specks, 99.8 % of the
+    pixels of a well measured hanging cloth would count as hidden.) Without a table, everything
     outside the mask is background, measured or not.
     """
     if table is None:
@@ -190,7 +189,7 @@ def hidden_pixels(
         unseen &= (depth_m > 0) & ~mask
         unseen |= blind
     cores = cv2.erode(unseen.view(np.uint8), np.ones((3, 3), np.uint8))
-    # One pixel back to their size, and two around them.
+    # Restore one pixel to their size, and add two around them.
     return cv2.dilate(cores, np.ones((7, 7), np.uint8)).view(bool)
 
 
@@ -211,15 +210,15 @@ def strays(
     *,
     spacing_m: float = 0.0,
 ) -> Bool[np.ndarray, " points"]:
-    """Return points of clusters that hold less than a share of all.
+    """Return the points of clusters that hold less than a share of all points.
 
-    Points are linked through cubes whose diagonal is `LINK_M` and which touch: points nearer than
-    0.58 `LINK_M` are always linked, points farther apart than 2 `LINK_M` never.
+    Points are linked if their cubes, whose diagonal is `LINK_M`, touch: points nearer than 0.58
+    `LINK_M` are always linked, points farther apart than 2 `LINK_M` never.
 
     Args:
         points: points [m].
-        share: share of the points that a cluster must hold; the largest always stays.
-        spacing_m: distance [m] of neighboring points; cubes are never smaller than 1.5 of it.
+        share: share of the points that a cluster must hold; the largest is always kept.
+        spacing_m: distance [m] of neighboring points; cubes are at least 1.5 times as large.
     """
     if not len(points) or share <= 0:
         return np.zeros(len(points), dtype=bool)
@@ -237,14 +236,13 @@ def cloth_measured(
 ) -> Bool[np.ndarray, "height width"]:
     """Return the pixels of a mask where the cloth was measured.
 
-    Neither in mid-air nor specks of other things.
-
-    The rim of a mask often shows a little of what is behind the cloth.
+    Flying pixels and specks of other things are left out, because the rim of a mask often shows a
+    little of what is behind the cloth.
 
     Args:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: where the cloth is.
-        camera: that took both.
+        mask: pixels of the cloth.
+        camera: the camera of both.
     """
     shown = mask & (depth_m > 0) & ~flying_pixels(depth_m, camera.fx)
     if shown.any():
@@ -255,9 +253,9 @@ def cloth_measured(
 
 
 def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
-    """Return number of the cluster of each point.
+    """Return the cluster number of each point.
 
-    Cubes with points in them that touch belong together.
+    Touching cubes that contain points belong together.
     """
     place, shape = _places(points, points.mean(axis=0), side_m)
     if np.prod(shape) <= _MOST_CELLS:
@@ -281,12 +279,12 @@ def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.nd
 def _cell_numbers(
     points: Float[np.ndarray, "points 3"], side_m: float
 ) -> Int[np.ndarray, " points"]:
-    """Return number of each point's cube, in the order of `_cells`; none is missing."""
+    """Return the number of each point's cube, in the order of `_cells` and without gaps."""
     place, shape = _places(points, [axis.mean() for axis in points.T], side_m)
     if not np.prod(shape) <= _MOST_CELLS:
         return np.unique(_cells(points, side_m), return_inverse=True)[1]
     place = place.astype(np.intp)
-    # Nearly all of a box around a cloth is empty: sums over all its cubes would be slow.
+    # Nearly all of a box around a cloth is empty, so sums over all its cubes would be slow.
     filled = np.zeros(place.max() + 1, dtype=bool)
     filled[place] = True
     cells = np.flatnonzero(filled)
@@ -298,10 +296,10 @@ def _cell_numbers(
 def _places(
     points: Float[np.ndarray, "points 3"], middle: Iterable[float], side_m: float
 ) -> tuple[Float[np.ndarray, " points"], list[float]]:
-    """Place of each point's cube in the box of cubes around all, and the box's cubes per axis."""
+    """Return the index of each point's cube in a box around all, and the box's cubes per axis."""
     place = np.zeros(len(points))
     shape = []
-    # Axis by axis: what is done along rows of three is slow.
+    # Axis by axis, because operations along rows of three are slow.
     for axis, at in zip(points.T, middle, strict=True):
         index = np.floor((axis - at) / side_m)
         lowest = index.min()
@@ -311,7 +309,7 @@ def _places(
 
 
 def _cells(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
-    # 21 bits an axis, in the middle of their range: neighbors differ by a constant.
+    # 21 bits per axis, in the middle of their range: neighbors differ by a constant.
     index = np.floor((points - points.mean(axis=0)) / side_m).astype(np.int64) + (1 << 20)
     index = np.clip(index, 1, (1 << 21) - 2)
     return (index[:, 0] << 42) | (index[:, 1] << 21) | index[:, 2]

@@ -1,8 +1,8 @@
-"""Points of the cloth, followed from picture to picture by what they look like.
+"""Points of the cloth, followed from picture to picture by their appearance.
 
-A depth camera does not see cloth slide along itself; a print, a weave or a seam shows it. Small
-windows are followed from each picture to the next (`optical_flow`). What is lost under a tool, in
-a fold or in a fast move is looked for again as it was last seen. Plain cloth has nothing to follow.
+Depth does not show cloth sliding along itself, but a print, a weave or a seam does. Small windows
+are followed from each picture to the next (`optical_flow`). A point lost under a tool, in a fold or
+in a fast move is searched again as it last appeared. Plain cloth has nothing to follow.
 """
 
 import itertools
@@ -32,28 +32,28 @@ _SPACING_PX = 10
 """At most one point is chosen per cell of this side [pixels]."""
 
 _LARGEST_ERROR_PX = 0.2
-"""A window must tell where it is to so much [pixels]: one standard deviation, from its contrast and
-the noise of the picture (the Cramer-Rao bound of its shift)."""
+"""Largest error of a window's place [pixels]: one standard deviation, from its contrast and the
+noise of the picture (the Cramer-Rao bound of its shift)."""
 
 _SLOPES_OF_NOISE = WINDOW_PX**2 * 0.23
-"""Squared slopes of a window that shows noise of one gray value and nothing else: 0.23 a pixel by
-Scharr's weights."""
+"""Squared slopes of a window that shows only noise of one gray value: 0.23 per pixel by Scharr's
+weights."""
 
 _LEAST_NOISE = 0.5
-"""Noise of a picture [gray values, 0 to 255] that is reckoned with in any case; rounding is 0.3."""
+"""Least noise assumed of a picture [gray values, 0 to 255]; rounding is 0.3."""
 
 _LOOK_AGAIN = 5
-"""Points are looked for so many frames after they were lost, and again after as many, and where
-actions begin and end. Those that were lost in one frame are looked for together, so that no frame
-has to look for all."""
+"""Lost points are searched every so many frames after their loss, and where actions begin and end.
+Points that were lost in the same frame are searched together, so that no frame has to search for
+all."""
 
 _KEPT_PICTURES = 80
-"""So many pictures are kept for the points that they were the last to show; older ones are
-forgotten with theirs."""
+"""Number of pictures kept for the lost points that they were the last to show; older pictures are
+forgotten with their points."""
 
 _BESIDE_PX = 3.0
-"""How far from where those beside it went [pixels] a lost point may be: less than half of a weave's
-repeat."""
+"""Largest distance of a lost point from where its neighbors have moved [pixels]: less than half of
+a weave's repeat."""
 
 SMOOTH_PX = 5
 """Depth is averaged over a square of this side [pixels]: one pixel is noisy, or not measured."""
@@ -62,15 +62,15 @@ LEAST_MEASURED = 0.4
 """Share of that square that must have been measured."""
 
 _STEEP_PX = 12.0
-"""Depth that changes within that square by so many pixels' width of the cloth, and 4 mm, is no
-slope but a step: a window there shows two layers."""
+"""A change of depth within that square by the width of so many pixels on the cloth, plus 4 mm, is a
+step and not a slope: a window there shows two layers."""
 
 _AROUND_PX = 2 * SMOOTH_PX
-"""Around the cloth depth is smoothed so far [pixels]: more than what a pixel's value depends on."""
+"""Margin around the cloth in which depth is smoothed [pixels]; a pixel's value depends on less."""
 
 
 class PointFollower:
-    """The points of the cloth that can be followed, frame by frame; chosen where actions begin."""
+    """The points of the cloth that are followed frame by frame, chosen where actions begin."""
 
     def __init__(
         self, recording: Recording, segmenter: Segmenter | None = None, *, kept: int | None = None
@@ -78,10 +78,10 @@ class PointFollower:
         """Follow nothing yet.
 
         Args:
-            recording: a recording of clouds has nothing to follow.
+            recording: the recording; one of clouds has nothing to follow.
             segmenter: finds the cloth; the recording's masks, color or height by default.
-            kept: the points of so many frames are kept, the newest; all by default. In an older one
-                nothing is followed.
+            kept: number of newest frames whose points are kept; all by default. Older frames have
+                no points.
         """
         self._recording, self._segmenter = recording, segmenter
         numbers = itertools.count()
@@ -90,18 +90,18 @@ class PointFollower:
         self._next, self._kept = 0, kept
 
     def knows(self, frame: Frame) -> bool:
-        """Return whether a frame has been followed to: its pictures are not needed again."""
+        """Return whether points were already followed to a frame; it needs no pictures then."""
         return frame.index < self._next
 
     def __call__(self, frame: Frame, views: Sequence[CameraView]) -> FollowedPoints:
-        """Return the points in a frame; those in the frames before it are followed first.
+        """Return the points in a frame, after following them through the frames before it.
 
         Args:
-            frame: one of the recording's.
-            views: what the cameras saw, with their colors where the frame is not known yet.
+            frame: a frame of the recording.
+            views: the views of the cameras, with colors if the frame is not known yet.
 
         Raises:
-            InvalidRecordingError: a picture of a frame before cannot be read.
+            InvalidRecordingError: a picture of an earlier frame cannot be read.
         """
         for skipped in self._recording.frames[self._next : frame.index]:
             self._follow(
@@ -113,7 +113,7 @@ class PointFollower:
 
     def _follow(self, frame: Frame, views: Sequence[CameraView]) -> None:
         """Follow the points to the next frame."""
-        # Asked anew for every frame: the actions of a live recording grow.
+        # Read anew for every frame, because the actions of a live recording grow.
         actions = self._recording.actions
         choose = any(frame.index == action.first_frame for action in actions)
         ends = any(frame.index == action.last_frame for action in actions)
@@ -140,13 +140,13 @@ def _together(parts: list[FollowedPoints]) -> FollowedPoints:
 
 @dataclass(frozen=True, eq=False)
 class _Picture:
-    """What one camera saw in one frame.
+    """The picture of one camera in one frame.
 
     Attributes:
         gray: brightness.
-        even: the same of the cloth, whatever light falls on it.
+        even: brightness of the cloth, normalized for the light on it (`even_picture`).
         depth: smoothed depth of the cloth and around it [m]; 0 elsewhere.
-        clear: where a window shows one layer of cloth and nothing else.
+        clear: pixels whose window shows one layer of cloth and nothing else.
     """
 
     gray: UInt8[np.ndarray, "height width"]
@@ -156,8 +156,8 @@ class _Picture:
 
     @classmethod
     def of(cls, view: CameraView, color: UInt8[np.ndarray, "height width 3"]) -> "_Picture":
-        """Find where windows of what a camera saw may be compared."""
-        # Nothing is followed beside the cloth: a picture that is as wide as needed there.
+        """Return the picture of a view, with the pixels whose windows may be compared."""
+        # Nothing is followed outside the cloth, so only the part around it is computed.
         part = bounds_of(view.mask, margin=_AROUND_PX)
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
         shown = cv2.erode(view.mask[part].view(np.uint8), window, borderValue=0).view(bool)
@@ -176,9 +176,9 @@ class _Picture:
         return cls(gray, even_picture(gray, view.mask), depth, clear)
 
     def noise_since(self, before: "_Picture | None") -> float:
-        """Return the standard deviation [gray values].
+        """Return the standard deviation of the noise between two pictures [gray values].
 
-        Most of what two pictures show stands still.
+        Most of what they show stands still.
         """
         if before is None:
             return _LEAST_NOISE
@@ -196,7 +196,7 @@ class _Picture:
     def in_world(
         self, pixels: Float32[np.ndarray, "points 2"], camera: Camera
     ) -> Float[np.ndarray, "points 3"]:
-        """Return where the cloth is at these pixels [m]."""
+        """Return the positions of the cloth at these pixels, in the world [m]."""
         if not len(pixels):
             return np.zeros((0, 3))
         depth = cv2.remap(self.depth, pixels[:, None, 0], pixels[:, None, 1], cv2.INTER_LINEAR)
@@ -212,9 +212,9 @@ class _Lost:
     Attributes:
         frame: the first frame without them.
         even: the last picture that showed them.
-        points: they, there.
-        numbers: of all that were followed in it.
-        pixels: where these were.
+        points: the lost points in that picture.
+        numbers: numbers of all points that were followed in it.
+        pixels: their places in it [pixels].
     """
 
     frame: int
@@ -224,7 +224,7 @@ class _Lost:
     pixels: Float32[np.ndarray, "others 2"]
 
     def found_in(self, picture: _Picture, followed: NumberedPoints) -> NumberedPoints:
-        """Return those that a later picture shows near where the others have gone."""
+        """Return the points that a later picture shows near where the others have moved."""
         _, then, now = np.intersect1d(
             self.numbers, followed.numbers, assume_unique=True, return_indices=True
         )
@@ -237,11 +237,11 @@ class _Lost:
         return replace(points, pixels=there, steps=np.zeros_like(there))[found]
 
     def is_due(self, frame: int) -> bool:
-        """Return whether they are to be looked for in a frame."""
+        """Return whether they are to be searched in a frame."""
         return frame > self.frame and (frame - self.frame) % _LOOK_AGAIN == 0
 
     def without(self, followed: NumberedPoints) -> "_Lost":
-        """Return those that are lost still."""
+        """Return the points that are still lost."""
         return replace(self, points=self.points[~self.points.are_in(followed)])
 
 
@@ -259,10 +259,10 @@ class _Follower:
         """Return the points in the next picture.
 
         Args:
-            picture: the next one; some may be missing in between.
+            picture: the next picture; some may be missing in between.
             frame: number of its frame.
-            choose: add new ones where there are none.
-            ends: an action ends with it; look for all that were lost.
+            choose: add new points where there are none.
+            ends: an action ends with it; search for all lost points.
         """
         if self._before is not None:
             self._carry(self._before, picture, frame)
@@ -281,7 +281,7 @@ class _Follower:
         return picture.in_world(points.pixels, self._camera)
 
     def _carry(self, before: _Picture, picture: _Picture, frame: int) -> None:
-        """Follow all points from the picture before."""
+        """Follow all points from the previous picture."""
         old = self._points
         there, found = carried(before.even, picture.even, old.pixels, old.steps)
         moved = old.at(there)[found & picture.shows(there)]
@@ -290,7 +290,7 @@ class _Follower:
         self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-_KEPT_PICTURES:]
 
     def _recognize(self, picture: _Picture) -> KeyPoints | None:
-        """Add points of a print that were lost; returns its key points that are not known."""
+        """Add lost points of a print that are recognized; return the unknown key points."""
         if not self._recognizer.sees_print:
             return None
         seen = KeyPoints.of(picture.gray, picture.clear)
@@ -301,9 +301,9 @@ class _Follower:
         return seen[~known]
 
     def _look_again(self, picture: _Picture, frame: int | None) -> None:
-        """Add points that were lost and are seen again, beside those that they were beside.
+        """Add lost points that are seen again beside their former neighbors.
 
-        Those whose turn it is in a frame; all where it is None.
+        Only the points due in the frame are searched; all if it is None.
         """
         due = [one for one in self._lost if frame is None or one.is_due(frame)]
         back = NumberedPoints.none()
@@ -314,12 +314,12 @@ class _Follower:
             points = self._points.together_with(back)
             near = points.near_each_other(self._positions(points, picture))
             self._points = points[near | ~points.are_in(back)]
-        # A point that was recognized goes, too: lost again, it must not be found twice.
+        # Recognized points are removed, too: lost again, they must not be found twice.
         left = [lost.without(self._points) for lost in self._lost]
         self._lost = [lost for lost in left if len(lost.points)]
 
     def _choose(self, picture: _Picture, unknown: KeyPoints | None) -> None:
-        """Add points; from now on each has to stay near those that are beside it here."""
+        """Add points; from now on each has to stay near its neighbors in this picture."""
         points, knows = self._points, self._recognizer.knows
         if unknown is not None:
             numbers = self._new_numbers(len(unknown))
@@ -330,7 +330,7 @@ class _Follower:
         noise = picture.noise_since(self._before)
         fresh = _chosen(picture, noise, points.pixels[~knows(points.numbers)])
         points = points.together_with(NumberedPoints.fresh(self._new_numbers(len(fresh)), fresh))
-        # Key points lie close together: what is around a part of the print the others show.
+        # Key points are close together; the others show what is around a part of the print.
         spread = ~knows(points.numbers)
         self._points = points.with_neighbors(self._positions(points, picture), spread)
 
@@ -341,9 +341,9 @@ class _Follower:
 def _chosen(
     picture: _Picture, noise: float, taken: Float32[np.ndarray, "taken 2"]
 ) -> Float32[np.ndarray, "fresh 2"]:
-    """The best pixel of each cell in which there is none yet, where a window tells its place."""
+    """Return the best pixel of each empty cell whose window can be located well."""
     weakest = _weakest_contrast(picture.gray)
-    # Noise has slopes itself, and they tell nothing.
+    # Noise has slopes, too, which carry no information.
     tells = picture.clear & (weakest > (_LARGEST_ERROR_PX**-2 + _SLOPES_OF_NOISE) * noise**2)
     row, column = np.nonzero(tells)
     if not len(row):
@@ -362,11 +362,11 @@ def _weakest_contrast(
 ) -> Float32[np.ndarray, "height width"]:
     """Return the squared slopes, summed over the window, in the direction in which they are least.
 
-    The noise of the picture divided by the root of it is how well the window's place can be told
+    The noise of the picture divided by the root of this sum is the error of the window's place
     [pixels] (J. Shi and C. Tomasi, "Good features to track", doi:10.1109/CVPR.1994.323794).
     """
     picture = gray.astype(np.float32)
-    # Scharr's weights add up to 32: a slope per pixel.
+    # Scharr's weights add up to 32; the scale gives slopes per pixel.
     across, down = (
         cv2.Scharr(picture, cv2.CV_32F, *axis, scale=1.0 / 32.0) for axis in ((1, 0), (0, 1))
     )

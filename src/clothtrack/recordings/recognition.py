@@ -1,9 +1,9 @@
-"""Points of a print that are recognized after they were lost: under a tool, in a fold, too fast.
+"""Recognition of points of a print that were lost under a tool, in a fold or in fast motion.
 
-What lies around a point is described so that turning, moving and lighting the cloth hardly change
-it (D. Lowe, "Distinctive image features from scale-invariant keypoints",
-doi:10.1023/B:VISI.0000029664.99615.94; OpenCV's SIFT), and looked for in later pictures. A weave
-looks alike everywhere, and is not recognized.
+The surroundings of a point get a description that turning, moving and lighting the cloth hardly
+change (D. Lowe, "Distinctive image features from scale-invariant keypoints",
+doi:10.1023/B:VISI.0000029664.99615.94; OpenCV's SIFT), and that is searched in later pictures. A
+weave looks alike everywhere, and is not recognized.
 """
 
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ _UNLIKE_OTHERS = 150.0
 lie 230 and more apart, nine in ten of a weave less than 100; a description's length is 512."""
 
 _DISTINCT = 0.8
-"""A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
+"""Largest ratio of a description's distances to its match and to the second best (Lowe)."""
 
 _TOO_FAR = 0.25
-"""No more than this share of them may be too far away: where a part of the print is elsewhere, half
-of them are nearer than they were."""
+"""Largest share of a point's neighbors that may be too far away: where a part of the print is
+elsewhere, half of them are nearer than they were."""
 
 LEAST_RECOGNIZED = 30
-"""Cloth with fewer key points in the first picture has no print, and fewer that are recognized
-together may be alike by chance: folds look like a print, too."""
+"""Cloth with fewer key points in the first picture has no print. Fewer points recognized together
+may match by chance, because folds look like a print, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeyPoints:
-    """Points of one picture that can be told from others by what lies around them.
+    """Points of one picture with distinctive surroundings.
 
     Attributes:
         pixels: where they are [pixels].
@@ -50,33 +50,33 @@ class KeyPoints:
     def of(
         cls, gray: UInt8[np.ndarray, "height width"], where: Bool[np.ndarray, "height width"]
     ) -> "KeyPoints":
-        """The key points of a picture's brightness, in its marked part, that look like no other."""
+        """Return the key points in the marked part of a gray picture that look like no other."""
         sift = cv2.SIFT_create(contrastThreshold=_CONTRAST)
         found, descriptions = sift.detectAndCompute(gray, where.view(np.uint8))
         if descriptions is None:
             return cls(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
         pixels = np.array([point.pt for point in found], np.float32)
-        # One that has two directions is found twice.
+        # A point that has two directions is found twice.
         single = np.sort(np.unique(pixels, axis=0, return_index=True)[1])
         points = cls(pixels[single], descriptions[single])
         return points[_unlike_others(points.descriptions)]
 
     def __getitem__(self, part: Bool[np.ndarray, " points"]) -> "KeyPoints":
-        """Return those of a part."""
+        """Return a part of the points."""
         return KeyPoints(self.pixels[part], self.descriptions[part])
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of points."""
         return len(self.pixels)
 
 
 _MOST_VIEWS = 12
-"""So many pictures are remembered, one an action: each is searched at every look."""
+"""Most pictures that are remembered, one per action; each search goes through all of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Remembered:
-    """What was seen of the cloth in one picture."""
+    """The key points of the cloth in one picture."""
 
     numbers: Int[np.ndarray, " points"]
     descriptions: Float32[np.ndarray, "points 128"]
@@ -84,7 +84,7 @@ class _Remembered:
 
 
 class Recognizer:
-    """Remembers key points by number, and finds them again."""
+    """A memory of numbered key points that finds them again."""
 
     def __init__(self) -> None:
         """Begin with nothing remembered."""
@@ -96,7 +96,7 @@ class Recognizer:
         return not self._views or len(self._views[0].numbers) >= LEAST_RECOGNIZED
 
     def knows(self, numbers: Int[np.ndarray, " points"]) -> Bool[np.ndarray, " points"]:
-        """Return whether each number is one that is remembered."""
+        """Return whether each number is remembered."""
         return np.isin(numbers, np.concatenate([np.zeros(0), *(v.numbers for v in self._views)]))
 
     def remember(
@@ -116,11 +116,9 @@ class Recognizer:
     def recognized(
         self, seen: KeyPoints, positions: Float[np.ndarray, "points 3"]
     ) -> Int[np.ndarray, " points"]:
-        """Return the number of each key point that is seen at these positions [m].
+        """Return the number of each key point that is seen at these positions [m]; -1 if new.
 
-        -1: never seen before.
-
-        The oldest memory is asked first: its number has the most to say.
+        The oldest memory is searched first, because its numbers carry the most information.
         """
         numbers = np.full(len(seen), -1)
         for view in self._views:
@@ -165,7 +163,7 @@ def _stay_together(
     now: Float[np.ndarray, "points 3"],
     before: Float[np.ndarray, "points 3"],
 ) -> Bool[np.ndarray, " points"]:
-    """Return whether each point is still near those that were beside it, but for a few."""
+    """Return whether each point is still near all but a few of its former neighbors."""
     near = min(NEIGHBORS, len(now) - 1)
     if near < 1:
         return np.zeros(len(now), dtype=bool)

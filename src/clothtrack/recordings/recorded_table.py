@@ -1,4 +1,4 @@
-"""The table in a recording, and the poses of its cameras in the world that it gives."""
+"""The table in a recording, and the poses of the cameras in the world that it defines."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,17 +20,17 @@ from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import ColorSegmenter, MaskFolder, Segmenter
 
 FRAMES = 8
-"""Frames that are looked at, spread over the recording."""
+"""Number of frames used, spread over the recording."""
 
 
 def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
-    """Return the table in a recording: what most of the depth that is not cloth lies on.
+    """Return the table in a recording: the plane of most of the depth outside the cloth.
 
-    The cloth is left out where masks or its color name tell it; the tool is too small to matter.
+    The cloth is left out if masks or its color name identify it; the tool is too small to matter.
 
     Args:
-        recording: with depth from the camera.
-        camera: the one that looks at the table.
+        recording: a recording with depth from the camera.
+        camera: the camera that looks at the table.
 
     Raises:
         InvalidRecordingError: there is no depth, nothing but cloth, or no plane that dominates.
@@ -76,9 +76,9 @@ def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
 def moved_along(
     recording: Recording, camera: Camera, world_from_camera: Float[np.ndarray, "4 4"]
 ) -> Mapping[str, Float[np.ndarray, "4 4"]]:
-    """Return new poses of all cameras of a recording when one of them gets this one.
+    """Return new poses of all cameras of a recording, given the new pose of one of them.
 
-    The others keep their place relative to it.
+    The others keep their pose relative to it.
     """
     change = world_from_camera @ np.linalg.inv(camera.world_from_camera)
     poses = {}
@@ -94,7 +94,7 @@ def moved_along(
 def _look(
     recording: Recording, frame: Frame, camera: Camera
 ) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
-    """Return the depth [m] of a frame and what of it is cloth; nothing where not known."""
+    """Return the depth [m] of a frame and its pixels of cloth; none if these are not known."""
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     cloth = np.zeros(depth.shape, dtype=bool)
     find: Segmenter | None = None

@@ -1,6 +1,6 @@
-"""A recording: cameras, frames, actions and the picker's path; pictures stay where they are.
+"""A recording: cameras, frames, actions and the picker's path.
 
-That is on disk, or in memory where a program hands them over as arrays.
+Its pictures stay on disk, or in memory if a program passes them as arrays.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,17 +16,17 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 
 NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.05, 20.0
-"""No cloth is recorded from nearer or from farther [m]; a wrong unit is off by a factor of ten."""
+"""Plausible limits of the median depth [m]; a wrong unit is off by a factor of ten."""
 
 WRITTEN_UNIT_M = 1e-4
-"""Unit in which depth that is in memory is written to 16-bit files [m]: up to 6.5 m."""
+"""Unit in which depth in memory is written to 16-bit files [m]; its range is up to 6.5 m."""
 
 _TYPES = {
     "depth": (np.floating, "give float meters, millimeters times 0.001"),
     "color": (np.uint8, "give uint8, red first"),
     "mask": (np.bool_, "give bool, True on the cloth"),
 }
-"""Of what type a picture in memory must be, and what to do about another one."""
+"""Required type of a picture in memory, and the remedy for another type."""
 
 _CLOSE_S = 1e-3
 # Seconds since 1970 have seven decimals in double precision.
@@ -46,9 +46,9 @@ class Table:
 
 
 def not_up(normal: Float[np.ndarray, " 3"]) -> str:
-    """Return why a table's unit normal does not point up, and what to do; empty where it does.
+    """Return why a table's unit normal does not point up, and what to do; empty if it does.
 
-    A table that stands within 30 degrees of upright is that of a world with another axis up.
+    A table within 30 degrees of vertical belongs to a world with another axis up.
     """
     axis = int(np.argmax(np.abs(normal)))
     if axis != 2 and abs(normal[axis]) > np.cos(np.radians(30)):
@@ -66,7 +66,7 @@ def not_up(normal: Float[np.ndarray, " 3"]) -> str:
 
 @dataclass(frozen=True)
 class Frame:
-    """One moment: when it was and what shows it: files, or pictures in memory. Paths are absolute.
+    """One frame: its time and its pictures, which are files (absolute paths) or arrays in memory.
 
     `recordings.pictures` reads both.
 
@@ -97,7 +97,7 @@ class Frame:
         color: np.ndarray | None = None,
         mask: np.ndarray | None = None,
     ) -> "Frame":
-        """Return a frame that one camera shows, its pictures in memory.
+        """Return a frame of one camera whose pictures are in memory.
 
         Args:
             index: number of the frame.
@@ -106,10 +106,10 @@ class Frame:
             depth: (height, width) float, along the optical axis [m]; what is not positive and
                 finite was not measured. It is copied.
             color: (height, width, 3) uint8, red first.
-            mask: (height, width) bool, where the cloth is.
+            mask: (height, width) bool, pixels of the cloth.
 
         Raises:
-            InvalidRecordingError: a picture has another size or type, or depth is in no meters.
+            InvalidRecordingError: a picture has a wrong size or type, or depth is not in meters.
         """
         name, given = camera.name, {"depth": depth, "color": color, "mask": mask}
         shown = {kind: np.asarray(one) for kind, one in given.items() if one is not None}
@@ -130,7 +130,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class PickAndPlace:
-    """One action: between which frames, and by which pickers. `last_frame` belongs to it."""
+    """One action: its first and last frame (inclusive), and its pickers."""
 
     first_frame: int
     last_frame: int
@@ -140,7 +140,7 @@ class PickAndPlace:
 def actions_of(
     paths: "Mapping[str, PickerPath]", frame_times: Sequence[float]
 ) -> tuple[list[PickAndPlace], int]:
-    """Return the actions in which a picker is closed, and how many closures give none.
+    """Return the actions in which a picker is closed, and the number of closures without one.
 
     An action begins with the last frame before a picker closes and ends with the first frame after
     it has opened. Pickers that are closed together share an action; an action needs two frames and
@@ -178,7 +178,7 @@ def actions_of(
 
 @dataclass(frozen=True, eq=False)
 class PickerPath:
-    """Where a picker's tip was, and when it was closed.
+    """The path of a picker's tip, and when the picker was closed.
 
     Attributes:
         time_s: sample times [s], strictly increasing.
@@ -224,7 +224,7 @@ class ClothDescription:
         template: the first mesh, in the world frame, when the recording carries one.
         held_vertices: template vertices that each picker holds, when known.
         grasp_uncertainty_m: how far the held cloth may be from the recorded tip [m]: 0 when the
-            path was measured, a few centimeters when it is only what the robot was told.
+            path was measured, a few centimeters when it is only the commanded path.
     """
 
     kind: str = "other"
@@ -237,7 +237,7 @@ class ClothDescription:
 
 @dataclass(frozen=True)
 class ObservedRegion:
-    """Where the sensor's data was cut away, so that no cloth there means nothing.
+    """Regions where sensor data was cut away, so that missing cloth there means nothing.
 
     Attributes:
         lowest_height_m: world height [m] under which points were removed, or None.
@@ -253,16 +253,16 @@ class Recording:
     """A recording in the format of docs/data_format.md, read and validated.
 
     Attributes:
-        folder: where it lies; its name alone, if it is in memory.
+        folder: its folder; only its name if it is in memory.
         cameras: every camera, in the file's order.
         depth_units_m: meters per unit of the 16-bit depth pictures, per camera name.
-        frames: in order of time; those of a live recording grow, and so do its actions.
+        frames: frames in order of time; frames and actions of a live recording grow.
         actions: pick-and-places, in order, not overlapping.
         picker_paths: path per picker name.
         table: the table, or None when the cloth hangs.
         cloth: what is known of the cloth.
         observed: where the data was cut away.
-        provenance: who made it, how; free text and numbers.
+        provenance: who made it and how; free text and numbers.
     """
 
     folder: Path
@@ -283,7 +283,7 @@ class Recording:
 
     @property
     def in_memory(self) -> bool:
-        """Whether its pictures are arrays, and no folder has them."""
+        """Whether its pictures are arrays instead of files."""
         return any(isinstance(each, np.ndarray) for each in self.frames[0].depth.values())
 
     @classmethod
@@ -301,9 +301,9 @@ class Recording:
         table: Table | None = None,
         name: str = "recording",
     ) -> "Recording":
-        """Return a recording of one camera from arrays, as a sensor's driver hands them over.
+        """Return a recording of one camera from arrays, such as those of a sensor's driver.
 
-        Whatever takes a recording takes it; `recordings.write_recording` writes it to a folder.
+        It can be used as any recording; `recordings.write_recording` writes it to a folder.
 
         Args:
             depth: one picture per frame, (frames, height, width) float, along the optical axis [m];
@@ -313,12 +313,12 @@ class Recording:
             times_s: when each frame was taken [s], strictly increasing.
             camera: intrinsics, and the pose in the world.
             picker: the path of the tip in the world, by name where there are several.
-            cloth: what is known of the cloth; a color, a mask or the table tells where it is.
+            cloth: what is known of the cloth; a color, a mask or the table locates it.
             actions: first and last frame of each pick-and-place; by default from the last frame
                 before a picker closes to the first one after it has opened.
-            mask: where the cloth is, one picture per frame, (frames, height, width) bool.
+            mask: pixels of the cloth, one picture per frame, (frames, height, width) bool.
             table: the plane that the cloth lies on; None when it hangs.
-            name: of the recording, and of what is tracked from it.
+            name: name of the recording, and of what is tracked from it.
 
         Raises:
             InvalidRecordingError: arrays that do not belong together, depth in another unit, or an
@@ -361,10 +361,10 @@ class Recording:
 
 
 def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
-    """Refuse depth that can be in no meters.
+    """Refuse depth that cannot be in meters.
 
     Raises:
-        InvalidRecordingError: with the median.
+        InvalidRecordingError: the depth is 0 everywhere, or its median is implausible.
     """
     measured = depth_m[depth_m > 0]
     if not measured.size:
@@ -380,7 +380,7 @@ def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
 def _checked_actions(
     name: str, actions: Any, paths: Mapping[str, PickerPath], times: Float[np.ndarray, " frames"]
 ) -> tuple[PickAndPlace, ...]:
-    """Return the actions that were given, or those of the closures.
+    """Return the given actions, or else those of the closures.
 
     Raises:
         InvalidRecordingError: frames that do not exist or follow each other, or no picker's path.

@@ -1,4 +1,4 @@
-"""The file `recording.json`: read strictly and held against the JSON Schema of the format."""
+"""The file `recording.json`, read strictly and checked against the format's JSON Schema."""
 
 import difflib
 import json
@@ -31,7 +31,7 @@ _RULES = {
     "uniqueItems": "an entry stands there twice; keep one",
     "pattern": "not a plain name; use letters, digits, dot, underscore and hyphen",
 }
-"""What breaking a rule of the schema means and what to do, with the rule's limit."""
+"""The meaning of a broken rule of the schema and the remedy, with the rule's limit."""
 
 
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
@@ -39,9 +39,9 @@ _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
 
 def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]:
-    """Return the content of `recording.json`, or None with what keeps it from being read.
+    """Return the content of `recording.json`, or None with the reasons that it cannot be read.
 
-    A content that is returned fulfils the schema; every violation of it is reported otherwise.
+    Content that is returned fulfills the schema; otherwise, every violation of it is reported.
     """
     violations = Violations()
     try:
@@ -77,7 +77,7 @@ def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]
 def document_violations(document: object) -> list[Violation]:
     """Return what is wrong with the content of a `recording.json`.
 
-    What it names is not looked at.
+    The files that it names are not read.
     """
     violations = Violations()
     version = document.get("version") if isinstance(document, dict) else None
@@ -137,7 +137,7 @@ def _where_to_look(folder: Path) -> str:
 
 
 def _number(text: str) -> int | float:
-    """Return a finite number of a file; a whole one has at most 18 characters."""
+    """Return a finite number from a file; an integer has at most 18 characters."""
     if text[-1].isalpha():  # NaN, Infinity
         raise ValueError(f"{text} stands where a number belongs")
     whole = text.removeprefix("-").isdigit()

@@ -1,4 +1,4 @@
-"""Which pixels are cloth: by its color, by its height above the table, or from masks on disk."""
+"""Segmentation of the cloth by color, by height above the table, or from masks on disk."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,25 +23,25 @@ from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import Frame, Recording, Table
 
 _RAISED_M = 0.006
-"""A color that is only perhaps cloth counts from this height above the table [m]."""
+"""A color that may be cloth counts from this height above the table [m]."""
 _TOOL_GAP_M = 0.015
-"""What is nearer to the camera than the cloth around it by more [m] is the tool, not a print."""
+"""Pixels nearer to the camera than the cloth around by more than this [m] are tool, not print."""
 WIDEST_SHARE = 0.6
-"""More of the picture than this is never the cloth alone: the background has its color too."""
+"""A larger share of the picture is never cloth alone: the background has its color, too."""
 LOWEST_M = 0.004
-"""What is lower than this above the table [m] is table: above the noise of depth cameras."""
+"""Pixels lower than this above the table [m] are table; depth cameras have less noise."""
 _CLICK_TOLERANCE = 9.0
-"""How far a color of a clicked patch may be from the clicked one in a and b of CIE Lab.
+"""Largest difference of a patch's color from the clicked one in a and b of CIE Lab.
 
 A unit is about a visible difference; L counts half.
 """
 _BOX_ROUNDS = 2
-"""How often the colors of a box are learned again from the mask that they give."""
+"""Number of times that the colors of a box are learned again from the resulting mask."""
 _SMALLEST_PART = 0.02
-"""A part of the mask smaller than this share of the largest one is no cloth that a tool cut off."""
+"""A part of the mask below this share of the largest one is not cloth that a tool cut off."""
 
 _WIDEST_TOOL = 0.1
-"""How far such a part may be from the rest: a tool's width, as a share of the picture's."""
+"""Largest distance of such a part from the rest: a tool's width, as a share of the picture's."""
 
 _OPENING = np.ones((3, 3), np.uint8)
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
@@ -49,7 +49,7 @@ _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
 
 @runtime_checkable
 class Segmenter(Protocol):
-    """Anything that finds the cloth in a picture; yours may be a network."""
+    """A function that finds the cloth in a picture, for example a network."""
 
     def __call__(
         self,
@@ -71,12 +71,12 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ColorSegmenter:
-    """The cloth is what has its colors, with the height above the table as a second vote.
+    """A segmenter by color, with the height above the table as a second vote.
 
     Make one with `from_name`, `from_click` or `from_box`.
 
     Attributes:
-        members: per color (five bits a channel) whether it is cloth: 2 surely, 1 perhaps, 0 no.
+        members: per color (five bits per channel) whether it is cloth: 2 surely, 1 perhaps, 0 no.
     """
 
     members: UInt8[np.ndarray, "32 32 32"]
@@ -100,8 +100,8 @@ class ColorSegmenter:
     ) -> "ColorSegmenter":
         """Return a segmenter learned from a box around the cloth in one picture.
 
-        Colors are learned from the middle of the box against what is outside, then again from the
-        mask that they give.
+        Colors are learned from the middle of the box against the outside of the box, then again
+        from the resulting mask.
 
         Args:
             color: color picture, red first.
@@ -118,7 +118,7 @@ class ColorSegmenter:
                 f"the box {box} is not inside the picture of {width} x {height} pixels; "
                 "give left, top, right, bottom"
             )
-        # The middle of the box is cloth; arms and background stand at its rim.
+        # The middle of the box is cloth; arms and background are at its rim.
         rim = (right - left) // 5, (bottom - top) // 5
         middle = np.zeros((height, width), dtype=bool)
         middle[top + rim[1] : bottom - rim[1], left + rim[0] : right - rim[0]] = True
@@ -132,7 +132,7 @@ class ColorSegmenter:
     ) -> "ColorSegmenter":
         """Return a segmenter learned from one click on a plain cloth; a printed one needs a box.
 
-        The even patch around the click is learned, and what looks like it.
+        The uniform patch around the click is learned, and everything that looks like it.
 
         Args:
             color: color picture, red first.
@@ -199,7 +199,7 @@ class ColorSegmenter:
                 "in; add color/ or mask/ files"
             )
         votes = votes_of(color, self.members)
-        # What has none of the colors stays outside whatever is done around it.
+        # Pixels outside of this window have none of the colors and are never cloth.
         window = bounds_of(votes, margin=_CLOSING.shape[0])
         mask = np.zeros(votes.shape, dtype=bool)
         accepted = self._accepted(votes, depth_m, camera, table, window)
@@ -215,7 +215,7 @@ class ColorSegmenter:
         table: Table | None,
         window: tuple[slice, slice],
     ) -> Bool[np.ndarray, "window_height window_width"]:
-        """Pixels of a window that holds all votes which are cloth by color and height."""
+        """Return which pixels of a window, which holds all votes, are cloth by color and height."""
         votes, whole = votes[window], votes.size
         accepted = votes == CORE
         measured = depth_m[window] > 0
@@ -260,9 +260,9 @@ class ColorSegmenter:
 
 @dataclass(frozen=True)
 class HeightSegmenter:
-    """The cloth is what stands out of the table: for plain tables with nothing else on them.
+    """A segmenter by height, for plain tables with nothing but the cloth on them.
 
-    The flattest parts of a thin cloth are lost: they are lower than the noise of depth.
+    The flattest parts of a thin cloth are lost, because they are lower than the noise of depth.
     """
 
     def __call__(
@@ -289,7 +289,7 @@ class HeightSegmenter:
 
 @dataclass(frozen=True)
 class MaskFolder:
-    """The cloth is what somebody marked: one mask, or its file, per camera name."""
+    """A segmenter by given masks: one mask, or its file, per camera name."""
 
     files: Mapping[str, Path | Bool[np.ndarray, "height width"]]
 
@@ -322,12 +322,10 @@ class MaskFolder:
 
 
 def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Segmenter:
-    """Return what finds the cloth when nothing was asked for.
-
-    Masks, else the color hint, else height.
+    """Return the default segmenter: by masks, else by the color hint, else by height.
 
     Raises:
-        InvalidRecordingError: the recording has nothing that tells the cloth from the rest.
+        InvalidRecordingError: nothing in the recording distinguishes the cloth from the rest.
     """
     if camera.name in frame.mask:
         return MaskFolder(frame.mask)
@@ -361,9 +359,9 @@ def height_per_depth(
     *,
     window: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> tuple[Float[np.ndarray, "window_height window_width"], np.float32]:
-    """Return how the height above the table follows from depth in each pixel of a window.
+    """Return the slope and offset of height above the table over depth, per pixel of a window.
 
-    It is the first, times the depth, plus the second [m], which is the camera's own height.
+    The height is the slope times the depth plus the offset [m], which is the camera's own height.
     """
     normal = camera.world_from_camera[:3, :3].T @ table.normal
     rows = (np.arange(camera.height)[window[0]] - camera.cy) / camera.fy * normal[1] + normal[2]
@@ -375,10 +373,10 @@ def height_per_depth(
 def main_components(
     mask: Bool[np.ndarray, "height width"], share: float = 0.25
 ) -> Bool[np.ndarray, "height width"]:
-    """The largest connected part of a mask, those nearly as large, and what a tool cut off them.
+    """Return the largest part of a mask, those nearly as large, and what a tool cut off them.
 
-    Parts of at least `share` of the largest one's area stay, and smaller ones beside them: a sleeve
-    beyond the tool. Farther away a small part of its color is something else.
+    Parts of at least `share` of the largest one's area are kept, and smaller ones beside them, such
+    as a sleeve beyond the tool. A small part farther away is another object of the same color.
     """
     kept = np.zeros_like(mask)
     window = bounds_of(mask)
@@ -399,9 +397,9 @@ def main_components(
 def bounds_of(
     marks: Bool[np.ndarray, "height width"] | UInt8[np.ndarray, "height width"], *, margin: int = 0
 ) -> tuple[slice, slice]:
-    """Smallest part of the picture that holds all that is not 0, and a margin [pixels] around it.
+    """Return the smallest window that holds every nonzero pixel, and a margin [pixels] around.
 
-    At least one pixel.
+    It has at least one pixel.
     """
     column, row, width, height = cv2.boundingRect(marks.view(np.uint8))
     rows = slice(max(row - margin, 0), row + max(height, 1) + margin)

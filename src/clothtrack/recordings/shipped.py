@@ -1,4 +1,4 @@
-"""The recordings that come with clothtrack."""
+"""The recordings that are shipped with clothtrack."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ def shipped_recording(name: str = "") -> Path:
     """Return the folder of the shipped recording of this name; of the first one without a name.
 
     Raises:
-        InvalidRecordingError: naming those that there are.
+        InvalidRecordingError: there is none; the message names those that there are.
     """
     folders = {path.parent.name: path.parent for path in sorted(SHIPPED.glob("*/recording.json"))}
     if not folders:

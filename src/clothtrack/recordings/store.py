@@ -1,4 +1,4 @@
-"""Recordings on disk: read one, or write one frame by frame while it happens."""
+"""Recordings on disk: read one, or write one frame by frame while it is recorded."""
 
 import io
 import json
@@ -84,12 +84,11 @@ def write_recording(recording: Recording, folder: Path) -> Recording:
 
 
 class RecordingWriter:
-    """Writes a recording frame by frame: all of it appears under its name, or nothing.
+    """A writer of a recording, frame by frame: all of it appears under its name, or nothing.
 
-    Use it in a `with` block. Files go to a hidden folder beside the target as they come; when the
-    block ends well they are checked and the folder is renamed; when it raises, they are removed.
-    A process that is killed leaves only the hidden folder `.NAME.….partial`; whoever writes NAME
-    next removes it.
+    Use it in a `with` block. Files are written to a hidden folder beside the target. If the block
+    succeeds, they are checked and the folder is renamed; if it raises, they are removed. A killed
+    process leaves only the hidden folder; the next writer beside it removes that.
     """
 
     def __init__(
@@ -106,13 +105,13 @@ class RecordingWriter:
         """Make the hidden folder.
 
         Args:
-            folder: where the recording is to lie; must not exist.
+            folder: folder of the recording; must not exist.
             cameras: every camera.
             depth_units_m: meters per unit of the depth files, per camera name.
             table: the table, or None when the cloth hangs.
             cloth: what is known of the cloth, with its template.
             observed: where data was cut away.
-            provenance: who made it, how; anything that JSON can hold.
+            provenance: who made it and how; anything that JSON can hold.
 
         Raises:
             StorageError: the folder exists or cannot be made.
@@ -214,7 +213,7 @@ class RecordingWriter:
     ) -> None:
         """Write one frame whose pictures are PNG files already, as `encode_png` makes them.
 
-        For many frames: encoding takes most of the time, and several threads may do it.
+        Use it for many frames: encoding takes most of the time, and several threads may do it.
 
         Args:
             time_s: time since the start [s], after the frame before.
@@ -264,13 +263,13 @@ class RecordingWriter:
         self._frames.append(entry)
 
     def add_action(self, first_frame: int, last_frame: int, pickers: Sequence[str]) -> None:
-        """Note a pick-and-place; `last_frame` belongs to it."""
+        """Add a pick-and-place, which includes `last_frame`."""
         self._actions.append(
             {"first_frame": first_frame, "last_frame": last_frame, "pickers": list(pickers)}
         )
 
     def set_picker_path(self, name: str, path: PickerPath) -> None:
-        """Note where a picker's tip was during the whole recording."""
+        """Set the path of a picker's tip during the whole recording."""
         if not name or not re.fullmatch(r"[^\s,\"]+", name):
             raise InvalidRecordingError(
                 f"picker {name!r}: a picker's name has no spaces, commas or quotes; rename it"

@@ -23,10 +23,10 @@ _CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write 
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
-    """Return mesh of an OBJ file [m]; polygons are cut into fans, vertices keep order and number.
+    """Return the mesh of an OBJ file [m]; polygons are cut into fans, vertices keep their order.
 
-    Only `v` and `f` lines count. Vertices that lie at the same place are refused and not merged:
-    merging would renumber them, and vertex 17 must stay vertex 17.
+    Only `v` and `f` lines count. Vertices at the same place are refused instead of merged, because
+    merging would renumber the vertices.
 
     Args:
         path: the OBJ file.
@@ -68,7 +68,7 @@ def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
 
 
 def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
-    """Canonical coordinates [m] of a CSV file with the columns x_m, y_m, z_m, a row per vertex.
+    """Return canonical coordinates [m] from a CSV file of x_m, y_m, z_m, one row per vertex.
 
     Raises:
         InvalidRecordingError: the file is missing, a column is, or a field is no number.
@@ -134,10 +134,10 @@ def write_template(mesh: ClothMesh, path: Path) -> None:
 
 
 def require_template_format(path: Path) -> None:
-    """Refuse a template file whose suffix names no format of one.
+    """Refuse a template file with another suffix than those of templates.
 
     Raises:
-        InvalidConfigError: naming those that do.
+        InvalidConfigError: another suffix; the message names the right ones.
     """
     if path.suffix.lower() not in _TEMPLATE_SUFFIXES:
         raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; a template is .npz or .obj")
@@ -162,7 +162,7 @@ def canonical_text(canonical: Float[np.ndarray, "vertices 3"]) -> str:
 
 
 def held_problem(held: Int[np.ndarray, " held"], vertex_count: int) -> str | None:
-    """Says which held vertex the template does not have; None when all exist."""
+    """Return which held vertex the template does not have; None when all exist."""
     outside = held[(held < 0) | (held >= vertex_count)]
     if not len(outside):
         return None

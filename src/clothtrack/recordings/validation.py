@@ -1,4 +1,4 @@
-"""Is a recording on disk what the format says? Every violation, not only the first."""
+"""Validation of a recording on disk, which reports every violation of the format."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ _TIME_TOLERANCE_S = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class CheckedRecording:
-    """A recording with what is wrong with it.
+    """A recording with its violations.
 
     Attributes:
         recording: the recording; None when `violations` is not empty.
@@ -62,9 +62,9 @@ def check_recording(folder: Path, *, thorough: bool = False) -> CheckedRecording
 
 
 class _Check:
-    """Makes a recording of a document that fulfils the schema, and notes what is wrong on the way.
+    """A builder of a recording from a document that fulfills the schema; it notes violations.
 
-    What is made after a violation is only good for finding the next ones.
+    What it builds after a violation is only good for finding further ones.
     """
 
     def __init__(self, folder: Path, document: Mapping[str, Any]) -> None:
@@ -173,7 +173,7 @@ class _Check:
         with self.violations.of_errors(self._folder, PICKER_FILE):
             paths = read_picker_paths(file)
         for name, path in (paths or {}).items() if cameras else ():
-            with np.errstate(over="ignore"):  # farther than any number is far
+            with np.errstate(over="ignore"):  # the distance may overflow
                 distances = [
                     np.linalg.norm(path.positions - camera.position, axis=1) for camera in cameras
                 ]
@@ -290,7 +290,7 @@ class _Check:
 
 
 def _swapped(camera: Camera) -> str:
-    """Return which intrinsics are in each other's place, and the remedy; empty where none are."""
+    """Return which intrinsics are swapped, and the remedy; empty if none are."""
     middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
     center, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
     off, swapped_off, focal_off = (

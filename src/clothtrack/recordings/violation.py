@@ -21,7 +21,7 @@ class Violation:
     Attributes:
         file: path inside the recording.
         field: where in the file ("cameras[0].fx", "line 7"); empty for the whole file.
-        value: what stands there, short; empty when nothing does.
+        value: the value found there, shortened; empty if there is none.
         problem: what is wrong, with the limit.
         remedy: what to do.
     """
@@ -41,10 +41,10 @@ class Violation:
 
 
 class Violations(list[Violation]):
-    """Everything that is wrong with a recording, in the order in which it is met."""
+    """Everything that is wrong with a recording, in the order in which it is found."""
 
     def add(self, field: str, value: str, words: str, *, file: str = DOCUMENT) -> None:
-        """Note a violation.
+        """Add a violation.
 
         Args:
             field: as in `Violation`.
@@ -57,9 +57,9 @@ class Violations(list[Violation]):
 
     @contextmanager
     def of_errors(self, folder: Path, file: str, field: str = "") -> Iterator[None]:
-        """Note what an error of this package says in the block.
+        """Add an error of this package that is raised in the block as a violation.
 
-        It is a violation of the file in the folder that the error names, or else of `file`.
+        It belongs to the file in the folder that the error names, or else to `file`.
         """
         try:
             yield
@@ -71,7 +71,7 @@ class Violations(list[Violation]):
 
 
 def grouped(violations: Sequence[Violation]) -> list[str]:
-    """Return one line for each cause, however many files it concerns."""
+    """Return one line per cause, however many files it concerns."""
     alike: dict[tuple[str, ...], list[Violation]] = {}
     for one in violations:
         key = tuple(_NUMBER.sub("#", part) for part in (one.file, one.field, one.problem))

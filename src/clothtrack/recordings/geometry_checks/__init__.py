@@ -1,1 +1,1 @@
-"""Does what a recording says of its geometry agree with what its pictures show?"""
+"""Checks of the stated geometry of a recording against its pictures."""

@@ -1,4 +1,4 @@
-"""The actions against the picker: do they hold its pick and its release?"""
+"""Checks of the actions against the picker: they must contain its pick and its release."""
 
 import numpy as np
 
@@ -8,8 +8,8 @@ from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
 
 _LEAST_LATE_S = 0.1
 _LEAST_LATE_M = 0.02
-"""A pick or a release outside of its action counts when the closed tip goes so far there [m], in so
-much time [s]."""
+"""A pick or a release outside of its action counts if the closed tip moves at least so far there
+[m], in at least so much time [s]."""
 
 
 def action_findings(recording: Recording) -> list[Finding]:
@@ -24,7 +24,7 @@ def action_findings(recording: Recording) -> list[Finding]:
 
 
 def _left_out(recording: Recording, number: int, name: str, path: PickerPath) -> list[Finding]:
-    """The picker is closed and goes on before the action begins, or after it ends."""
+    """Return findings where the closed picker moves before the action begins or after it ends."""
     action, times = recording.actions[number], [frame.time_s for frame in recording.frames]
     begin_s, end_s = times[action.first_frame], times[action.last_frame]
     before = after = (begin_s, begin_s)
@@ -55,13 +55,13 @@ def _left_out(recording: Recording, number: int, name: str, path: PickerPath) ->
 
 
 def _frame_beside(times: list[float], time_s: float, field: str) -> int:
-    """The last frame up to a time, or the first one from it on."""
+    """Return a frame before a time for `first_frame`, or a frame after it for `last_frame`."""
     place = int(np.searchsorted(times, time_s + 1e-9, side="right")) - 1
     return max(place - 1, 0) if field == "first_frame" else min(place + 1, len(times) - 1)
 
 
 def _continued(recording: Recording, number: int, name: str, frame: int) -> bool:
-    """Whether another action of the picker goes on where this one begins or ends."""
+    """Return whether another action of the picker continues where this one begins or ends."""
     if not 0 <= number < len(recording.actions):
         return False
     other: PickAndPlace = recording.actions[number]
@@ -70,7 +70,7 @@ def _continued(recording: Recording, number: int, name: str, frame: int) -> bool
 
 
 def _closed_since(path: PickerPath, time_s: float) -> float:
-    """When a picker that is closed at a time closed; the time itself where it is open."""
+    """Return when a picker that is closed at a time has closed; if it is open, the time itself."""
     place = int(np.searchsorted(path.time_s, time_s + 1e-9, side="right")) - 1
     since = time_s
     while place >= 0 and path.closed[place]:
@@ -80,7 +80,7 @@ def _closed_since(path: PickerPath, time_s: float) -> float:
 
 
 def _closed_until(path: PickerPath, time_s: float) -> float:
-    """When a picker that is closed at a time opens; the time itself where it is open."""
+    """Return when a picker that is closed at a time opens; if it is open, the time itself."""
     if not path.closed_at(time_s):
         return time_s
     later = (path.time_s > time_s) & ~path.closed
@@ -88,6 +88,6 @@ def _closed_until(path: PickerPath, time_s: float) -> float:
 
 
 def _way_m(path: PickerPath, first_s: float, last_s: float) -> float:
-    """How far a tip gets away from where it was at the first time [m]."""
+    """Return the largest distance of a tip from its position at the first time [m]."""
     spots = np.stack([path.position_at(time) for time in np.linspace(first_s, last_s, 20)])
     return float(np.linalg.norm(spots - spots[0], axis=1).max())

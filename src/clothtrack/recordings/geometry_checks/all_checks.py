@@ -26,14 +26,14 @@ from clothtrack.recordings.recording import Recording
 def check_geometry(
     recording: Recording, frames: ObservedFrames | None = None
 ) -> tuple[Finding, ...]:
-    """Return where what a recording says contradicts what its pictures show; empty for a right one.
+    """Return where the pictures of a recording contradict it; empty for a right one.
 
-    What stands in a wrong world is wrong for that reason alone: where a camera is doubted, cloth
-    and picker are not looked at, nor the path of a picker whose clock is.
+    One error causes others: a wrong world makes everything in it wrong. If a camera is doubted,
+    cloth and picker are not checked; if a picker's clock is doubted, its path is not checked.
 
     Args:
-        recording: read and validated.
-        frames: its frames, where some have been looked at already; all are read here by default.
+        recording: a validated recording.
+        frames: its frames, if some have been read already; by default all are read here.
     """
     frames = frames or ObservedFrames(recording)
     alone = sense_findings(recording, frames.small)
@@ -51,13 +51,13 @@ def check_geometry(
 
 
 def _carrying(recording: Recording, frames: ObservedFrames) -> list[Finding]:
-    """What is wrong with a path that leads through the cloth."""
+    """Return what is wrong with a path that leads through the cloth."""
     moved = [] if frames.small is None else motion_findings(recording, frames.small)
     return [*action_findings(recording), *(moved or hand_findings(recording, frames))]
 
 
 def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:
-    """Return what is wrong by itself, and where color, depth and masks contradict each other."""
+    """Return implausible values, and where color, depth and masks contradict each other."""
     alone = [
         *time_findings(recording), *size_findings(recording), *template_findings(recording),
         *lens_findings(recording),
@@ -69,7 +69,7 @@ def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list
     if color is not None and color.correction is not None:
         in_step = registration(_in_step(pictures, stream))
         if in_step is not None and in_step.correction is None and in_step.fit >= color.fit:
-            color = in_step  # What is late is at another place.
+            color = in_step  # A late stream shows things at other places.
         elif in_step is not None:
             stream = [finding for finding in stream if finding.kind != "stream_delay"]
     placed = [] if color is None else color_findings(pictures, color)
@@ -78,7 +78,7 @@ def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list
 
 
 def _in_step(pictures: SmallPictures, findings: list[Finding]) -> SmallPictures:
-    """The pictures with the delay of one stream taken out."""
+    """Return the pictures with the delay of one stream removed."""
     delays = [each.correction for each in findings if isinstance(each.correction, StreamDelay)]
     if not delays or pictures.color is None:
         return pictures

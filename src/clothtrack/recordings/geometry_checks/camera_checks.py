@@ -1,4 +1,4 @@
-"""The camera against the table that its depth shows: the unit of the depth, and the pose."""
+"""Checks of a camera against the table in its depth: the unit of the depth, and the pose."""
 
 from collections.abc import Mapping
 
@@ -19,7 +19,7 @@ right recordings it is at most 0.1; 1 degree lifts a cloth of 0.4 m by 7 mm on o
 
 _LARGEST_SHIFT_M = 0.01
 """Distance of the two tables [m] from which a pose is doubted. On right recordings it is below 1
-mm, and 5 mm where the camera was put 5 mm beside its place on purpose. It is trusted up to 8."""
+mm, and 5 mm if the camera was displaced by 5 mm on purpose. It is trusted up to 8."""
 
 _FEWEST_STEPS = 3
 _LARGEST_STEP_M = 0.006
@@ -27,18 +27,18 @@ _LARGEST_STEP_M = 0.006
 has steps of 0.001; a structured-light sensor has 0.003 at 1 m."""
 
 _SPREAD = 0.1
-"""A wrong unit makes all depth wrong by one factor: so far (quartiles of the logarithm) may the
-ratio of measured and expected depth differ between pixels."""
+"""Largest difference between pixels of the ratio of measured and expected depth (quartiles of its
+logarithm), because a wrong unit makes all depth wrong by one factor."""
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From a camera frame with y up and z backward (OpenGL) to ours."""
+"""Transform from a camera frame with y up and z backward (OpenGL) to ours."""
 
 _Plane = tuple[Float[np.ndarray, " 3"], float]
 """A unit normal in the camera's frame and the camera's height above the plane [m]."""
 
 
 def camera_findings(recording: Recording) -> list[Finding]:
-    """Cameras whose depth shows the table elsewhere than the recording says: at most one each."""
+    """Return cameras whose depth contradicts the recorded table: at most one finding each."""
     findings = unit_findings(recording)
     if findings:
         return findings
@@ -52,7 +52,7 @@ def camera_findings(recording: Recording) -> list[Finding]:
 
 
 def unit_findings(recording: Recording) -> list[Finding]:
-    """Cameras whose depth is a power of ten times that of the recorded table: at most one each."""
+    """Return cameras whose depth is a power of ten times that of the recorded table."""
     if recording.table is None:
         return []
     found = [
@@ -70,7 +70,7 @@ def _coarse(recording: Recording, camera: Camera) -> Finding | None:
     measured = depth[depth > 0]
     if not len(measured):
         return None
-    # Most of a picture lies within a few percent of its middle: what is far has larger steps.
+    # Use depths near the median only, because far ones have larger steps.
     middle = float(np.median(measured))
     values = np.unique(measured[np.abs(measured - middle) < 0.1 * middle])
     step_m = float(np.median(np.diff(values))) if len(values) > _FEWEST_STEPS else 0.0
@@ -84,7 +84,7 @@ def _coarse(recording: Recording, camera: Camera) -> Finding | None:
 
 
 def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) -> Finding | None:
-    """The depth is that of the recorded table, times a power of ten."""
+    """Return a finding if the depth is that of the recorded table, times a power of ten."""
     frame = next(frame for frame in recording.frames if camera.name in frame.depth)
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     normal, height = _recorded(camera.world_from_camera, table)
@@ -112,7 +112,7 @@ def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) 
 
 
 def _wrong_pose(recording: Recording, camera: Camera, table: Table, place: int) -> Finding | None:
-    """The table that the depth shows is tilted against the recorded one, or beside it."""
+    """Return a finding if the table in the depth is tilted or shifted from the recorded one."""
     try:
         fit = fit_recorded_table(recording, camera)
     except InvalidRecordingError:
@@ -138,7 +138,7 @@ def _wrong_pose(recording: Recording, camera: Camera, table: Table, place: int) 
 
 
 def _cause(camera: Camera, fit: TableFit, table: Table) -> str:
-    """What the pose is likely to be, where another one fits; what else may be wrong."""
+    """Return the likely mistake in the pose, if another pose fits; else what may be wrong."""
     pose = camera.world_from_camera
     others: Mapping[str, Float[np.ndarray, "4 4"]] = {
         "it looks inverted, the pose of the world in the camera": np.linalg.inv(pose),
@@ -153,14 +153,14 @@ def _cause(camera: Camera, fit: TableFit, table: Table) -> str:
 
 
 def _recorded(world_from_camera: Float[np.ndarray, "4 4"], table: Table) -> _Plane:
-    """The recorded table as a camera at this pose sees it."""
+    """Return the recorded table as a camera at this pose sees it."""
     normal = table.normal / np.linalg.norm(table.normal)
     height = float((world_from_camera[:3, 3] - table.point) @ normal)
     return world_from_camera[:3, :3].T @ normal, height
 
 
 def _apart(fit: TableFit, recorded: _Plane) -> tuple[float, float]:
-    """Angle [deg] and distance [m] from a recorded table to the one that depth shows."""
+    """Return the angle [deg] and distance [m] from a recorded table to the one in the depth."""
     normal, height = recorded
     cosine = float(np.clip(fit.normal @ normal, -1.0, 1.0))
     return float(np.degrees(np.arccos(cosine))), fit.distance_m - height

@@ -1,4 +1,4 @@
-"""A camera that is pushed during the film: the table in its depth moves, or the whole picture."""
+"""Check for a camera pushed while recording: the table in its depth moves, or the picture does."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,45 +13,45 @@ _LARGEST_MOTION_M = 0.0025
 It is below 0.4 mm on right recordings; a camera turned by 1 degree makes 7."""
 
 _EVERY = 2
-"""Of the reduced pixels that the table is fitted to, along each axis: thousands are enough."""
+"""Stride along each axis of the reduced pixels that the table is fitted to; thousands suffice."""
 
 _NEAR_TABLE_M = 0.03
-"""What the first frames show this near to the recorded table [m] may be the table."""
+"""Pixels of the first frames this near to the recorded table [m] may be the table."""
 
 _MOST_CHANGE_M = 0.08
-"""A pixel that changes by more [m] shows a hand."""
+"""A pixel whose height changes by more [m] shows a hand."""
 
 _INLIER_M = 0.005
 _FEWEST_INLIERS = 0.6
 """Share of the table's pixels that must agree within so much [m] on how the table moved."""
 
 _ROUNDS = 5
-"""Of the reweighted fit; it is steady then."""
+"""Rounds of the reweighted fit, after which it is steady."""
 
 _LEAST_JUMP, _MOST_JUMP = 2.5, 15.0
-"""Shift of the whole picture between two frames [reduced pixels, 1/160 of the width] that is a
-push. A hand that moves fast looks like a larger one."""
+"""Limits of the shift of the whole picture between two frames [reduced pixels, 1/160 of the width]
+that is a push. A hand that moves fast looks like a larger shift."""
 
 _LEAST_FIT, _LEAST_GAIN = 0.58, 0.15
 """Correlation of the edges that the shift must reach, and by how much it must be better than none.
 """
 
 _FEWEST_FRAMES = 4
-"""Fewer say nothing."""
+"""Fewer frames are not enough for the check."""
 
 _Motion = tuple[float, float, str]
-"""What was measured, its limit, and the unit of both."""
+"""The measured value, its limit, and the unit of both."""
 
 
 def camera_motion_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
-    """Return from which frame on the camera is elsewhere; nothing where it stands still."""
+    """Return from which frame on the camera is elsewhere; nothing if it stands still."""
     if len(pictures.frames) < _FEWEST_FRAMES:
         return []
     return _table_moved(recording, pictures) or _picture_jumped(recording, pictures)
 
 
 def _table_moved(recording: Recording, pictures: SmallPictures) -> list[Finding]:
-    """The table is turned or lies lower although nothing but cloth and hands may move."""
+    """Return a finding if the table is turned or shifted; only cloth and hands may move."""
     if recording.table is None:
         return []
     heights = pictures.height_m[:, ::_EVERY, ::_EVERY]
@@ -61,7 +61,7 @@ def _table_moved(recording: Recording, pictures: SmallPictures) -> list[Finding]
     if pictures.mask is not None:
         table &= (pictures.mask[:, ::_EVERY, ::_EVERY] == 0).all(axis=0)
     moved = np.array([_table_motion_m(height - first, table) for height in heights])
-    lasting = np.minimum(moved[:-1], moved[1:])  # What a single frame shows is noise, or an arm.
+    lasting = np.minimum(moved[:-1], moved[1:])  # A change in a single frame is noise, or an arm.
     most_m = float(lasting.max())
     if most_m <= _LARGEST_MOTION_M:
         return []
@@ -73,7 +73,7 @@ def _table_moved(recording: Recording, pictures: SmallPictures) -> list[Finding]
 def _table_motion_m(
     change: Float[np.ndarray, "rows columns"], table: Bool[np.ndarray, "rows columns"]
 ) -> float:
-    """Return the largest change of the table's height in the picture [m]; 0 where not known."""
+    """Return the largest change of the table's height in the picture [m]; 0 if not known."""
     usable = table & (np.abs(np.nan_to_num(change, nan=np.inf)) < _MOST_CHANGE_M)
     rows, columns = np.nonzero(usable)
     if len(rows) < 0.1 * change.size:
@@ -92,9 +92,9 @@ def _table_motion_m(
 
 
 def _picture_jumped(recording: Recording, pictures: SmallPictures) -> list[Finding]:
-    """All edges are elsewhere from one frame to the next, and not on the way there."""
+    """Return a finding if all edges jump between two frames, and hardly move before and after."""
     as_recorded, fit, away = _step_shifts(pictures)
-    # What moves at a constant speed is farther off after a missing frame.
+    # Constant motion also looks like a jump after a missing frame, so speeds are compared.
     took = np.diff([recording.frames[frame].time_s for frame in pictures.frames])
     speed = away / np.maximum(took, 1e-9)
     beside = took * np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
@@ -111,11 +111,11 @@ def _picture_jumped(recording: Recording, pictures: SmallPictures) -> list[Findi
 def _step_shifts(
     pictures: SmallPictures,
 ) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps"], Float[np.ndarray, " steps"]]:
-    """Return how the edges of each frame lie on those of the next, from one frame to the next.
+    """Return how well the edges of each frame match those of the next.
 
-    As they are, where they are shifted best, and by how much [pixels]. A picture with few edges
-    counts little beside one of the same frame with many. Edges that fit as they are, and whose
-    neighbors in time do, are not shifted.
+    The three are the correlation without a shift, the one at the best shift, and that shift
+    [pixels]. A picture with few edges counts little beside one of the same frame with many. Edges
+    that match without a shift, and whose neighbors in time do, are not shifted.
     """
     maps = [np.stack([height_edges(height, pictures.filled_m) for height in pictures.height_m])]
     if pictures.color is not None:

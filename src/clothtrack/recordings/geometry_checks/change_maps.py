@@ -1,4 +1,4 @@
-"""Where color and depth change: from frame to frame, and from pixel to pixel."""
+"""Changes of color and depth from frame to frame, and from pixel to pixel."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 
 COLOR_NOISE, COLOR_MOST = 12.0, 40.0
-"""Change of a channel between frames that is noise, and from which more says nothing more [of 255].
+"""Change of a channel between frames up to which it is noise, and at which it is clipped [of 255].
 A reduced pixel averages the noise of a camera to about 1; the rest is for flicker and shadows."""
 
 HEIGHT_NOISE_M, HEIGHT_MOST_M = 0.004, 0.02
-"""The same of the height [m]: reduced pixels of a depth camera of 2 mm of noise differ by 1."""
+"""The same of the height [m]: with 2 mm of depth noise, reduced pixels differ by 1 mm."""
 
 COLOR_EDGE, HEIGHT_EDGE_M = 3.0, 0.0008
 COLOR_EDGE_MOST, HEIGHT_EDGE_MOST_M = 30.0, 0.006
@@ -22,7 +22,7 @@ COLOR_EDGE_MOST, HEIGHT_EDGE_MOST_M = 30.0, 0.006
 
 @dataclass(frozen=True, eq=False)
 class ChangeMaps:
-    """What changes between each frame and the next, 0 where it is noise.
+    """The changes between each frame and the next, 0 where they are noise.
 
     Attributes:
         color: change of the strongest channel [of 255]; None without color.
@@ -34,7 +34,7 @@ class ChangeMaps:
 
 
 def change_maps(pictures: SmallPictures, step: int = 1) -> ChangeMaps:
-    """Return what changes between frames that are so many apart."""
+    """Return the changes between frames that are `step` apart."""
     color = pictures.color
     if color is not None:
         shape = color[step:].shape
@@ -48,7 +48,7 @@ def change_maps(pictures: SmallPictures, step: int = 1) -> ChangeMaps:
 
 
 def color_edges(color: np.ndarray) -> Float[np.ndarray, "rows columns"]:
-    """Return the slope of the strongest channel, noise taken off, clipped."""
+    """Return the slope of the strongest channel, less noise, clipped."""
     slope = _slope(color.astype(np.float32))
     # Channel by channel, which is ten times as fast as along the last axis.
     strongest = np.maximum(np.maximum(slope[..., 0], slope[..., 1]), slope[..., 2])
@@ -56,13 +56,13 @@ def color_edges(color: np.ndarray) -> Float[np.ndarray, "rows columns"]:
 
 
 def height_edges(height_m: np.ndarray, filled: np.ndarray) -> Float[np.ndarray, "rows columns"]:
-    """Return the slope of the height [m], noise taken off, clipped; `filled` stands in for NaN."""
+    """Return the slope of the height [m], less noise, clipped; `filled` replaces NaN."""
     slope = _slope(np.where(np.isfinite(height_m), height_m, filled).astype(np.float32))
     return np.clip(slope - HEIGHT_EDGE_M, 0.0, HEIGHT_EDGE_MOST_M)
 
 
 def moving(changes: Float[np.ndarray, "steps rows columns"]) -> Bool[np.ndarray, " steps"]:
-    """Return in which steps so much changes that its place says something."""
+    """Return in which steps enough changes for its place to be informative."""
     return (changes > 0).mean(axis=(1, 2)) >= _LEAST_MOVING
 
 

@@ -1,4 +1,4 @@
-"""Times against each other: their unit, gaps, and how fast a picker can be."""
+"""Checks of the times against each other: their unit, gaps, and how fast a picker can be."""
 
 from itertools import pairwise
 
@@ -9,29 +9,30 @@ from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import PickerPath, Recording
 
 LONGEST_STEP_S, SHORTEST_STEP_S = 5.0, 0.002
-"""Middle time between frames [s] beyond which a clock is not in seconds: cameras take 1 to 300
-pictures a second, and at 30 a second milliseconds look like 33 s and microseconds like 33,333."""
+"""Limits of the median time between frames [s] beyond which a clock is not in seconds: cameras take
+1 to 300 pictures per second; at 30 per second, milliseconds look like 33 s and microseconds like
+33,333."""
 
 SLOWEST_M_S, FASTEST_M_S = 0.002, 5.0
-"""Middle speed of a closed tip while it moves [m/s]: hands and arms carry cloth at 0.05 to 1."""
+"""Limits of the median speed of a moving closed tip [m/s]: cloth is carried at 0.05 to 1."""
 
 _LARGEST_GAP = 3.0
-"""Times the middle step between frames from which a step is a gap, and 0.25 s at least."""
+"""Multiple of the median step between frames from which a step is a gap; at least 0.25 s."""
 
 _LEAST_GAP_S = 0.25
 _LEAST_GAP_M = 0.05
-"""A gap matters where a closed tip goes so far in it [m]: the cloth between was not seen."""
+"""A gap matters if a closed tip moves this far in it [m], because the cloth was not seen."""
 
 _GAP_SAMPLES = 30
-"""At so many times within a gap is it asked where a picker is, and whether it is closed."""
+"""Number of times within a gap at which the picker's path is sampled."""
 
 UNEVEN, LARGEST_JITTER = 0.3, 0.2
-"""A step is uneven from this difference from the middle one, as a share of it; so large a share of
-the steps may be: cameras drop a frame now and then."""
+"""A step is uneven if it differs from the median one by more than this share of it. The second is
+the share of the steps that may be uneven, because cameras drop a frame now and then."""
 
 
 def time_findings(recording: Recording) -> list[Finding]:
-    """Return what is wrong with the recorded times, pictures aside."""
+    """Return what is wrong with the recorded times, without looking at the pictures."""
     times = np.array([frame.time_s for frame in recording.frames])
     if len(times) < 5:
         return []
@@ -39,7 +40,7 @@ def time_findings(recording: Recording) -> list[Finding]:
 
 
 def _unit(recording: Recording, times: np.ndarray) -> list[Finding]:
-    """Steps that no camera has, or a tip slower or faster than one that carries cloth."""
+    """Return a finding for steps of no camera, or a tip too slow or too fast to carry cloth."""
     step_s = float(np.median(np.diff(times)))
     speed = _speed_m_s(recording)
     wrong_step = not SHORTEST_STEP_S <= step_s <= LONGEST_STEP_S
@@ -69,7 +70,7 @@ def _unit(recording: Recording, times: np.ndarray) -> list[Finding]:
 
 
 def _factor(step_s: float) -> float | None:
-    """The power of a thousand that makes a step that of a camera of 4 to 250 pictures a second."""
+    """Return the power of a thousand that makes a step one of 4 to 250 pictures per second."""
     for factor in (1e-3, 1e-6, 1e-9, 1e3):
         if 0.004 <= step_s * factor <= 0.25:
             return factor
@@ -77,7 +78,7 @@ def _factor(step_s: float) -> float | None:
 
 
 def _speed_m_s(recording: Recording) -> float | None:
-    """Middle speed of the closed tips while they move; None where none goes 5 cm."""
+    """Return the median speed [m/s] of closed tips while they move; None below 5 cm in all."""
     speeds, gone_m = [], 0.0
     for path in recording.picker_paths.values():
         away = np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
@@ -88,7 +89,7 @@ def _speed_m_s(recording: Recording) -> float | None:
 
 
 def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
-    """Times without a frame in which a closed picker moves on."""
+    """Return a finding for the first gap between frames in which a closed picker moves on."""
     limit_s = max(_LARGEST_GAP * float(np.median(np.diff(times))), _LEAST_GAP_S)
     for frame, (before, after) in enumerate(pairwise(times.tolist())):
         if after - before <= limit_s:
@@ -108,7 +109,7 @@ def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
 
 
 def _carried_m(path: PickerPath, start_s: float, end_s: float) -> float:
-    """Return how far a picker goes while it is closed, between two times [m]."""
+    """Return how far a picker moves while it is closed, between two times [m]."""
     times = np.linspace(start_s, end_s, _GAP_SAMPLES)
     closed = np.array([path.closed_at(time_s) for time_s in times])
     steps_m = np.linalg.norm(

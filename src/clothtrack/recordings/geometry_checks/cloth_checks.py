@@ -1,4 +1,4 @@
-"""The cloth of the first frame against its size, its template and the table."""
+"""Checks of the cloth of the first frame against its size, its template and the table."""
 
 from dataclasses import dataclass
 
@@ -20,22 +20,22 @@ from clothtrack.recordings.recording import Recording, Table
 
 _SIZE_TOLERANCE = 0.06
 """Relative difference of a side of the cloth from `size_m` that is doubted. The sides of 40 flat
-cloths were within 3 % of their size, a shirt's sleeves that hang a little included."""
+cloths were within 3 % of their size, including shirts whose sleeves hang a little."""
 
 LOW_M, HIGH_M = -0.02, 0.05
-"""Heights above the table [m] between which the lowest of a cloth that lies on it may be. It is
-from -6 to 29 mm on right recordings: clouds that were cut away above the table begin higher."""
+"""Heights above the table [m] between which the lowest part of a cloth on it may be. On right
+recordings it is from -6 to 29 mm: clouds that were cut away above the table begin higher."""
 
 _BESIDE_M = 0.012
-"""Distance of the middles of a flat template and of the cloth [m]. It is below 4 mm on right
-recordings."""
+"""Largest distance of the middles of a flat template and of the cloth [m]. It is below 4 mm on
+right recordings."""
 
 _THICK_M = 0.015
-"""Difference of height between the middle and the highest of a flat cloth [m]. It is below 3 mm on
-right recordings, wrinkles included; a cloth dropped in a heap has some 40 mm."""
+"""Largest height of the top of a flat cloth over its middle [m]. It is below 3 mm on right
+recordings, wrinkles included; a cloth dropped in a heap has some 40 mm."""
 
 _TOWEL_FILL = 0.75
-"""Share of its rectangle that a flat towel covers: at least 0.83 where a fifth of the depth is
+"""Least share of its rectangle that a flat towel covers: at least 0.83 if a fifth of the depth is
 missing; a towel with a corner folded to its middle covers 0.75."""
 
 _FILL_CELL_M = 0.008
@@ -51,8 +51,8 @@ class _Spread:
         middle_m: middle of that rectangle on the table [m].
         fill: share of that rectangle that it covers.
         lowest_m: height above the table that 5 % of the points are under [m].
-        rise_m: from its middle height to that which 1 % of the points are above [m].
-        cut_off: it reaches the rim of the picture.
+        rise_m: from its median height to that which 1 % of the points are above [m].
+        cut_off: whether it reaches the rim of the picture.
     """
 
     sides_m: tuple[float, float]
@@ -64,7 +64,7 @@ class _Spread:
 
 
 def cloth_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
-    """What of the cloth's description the first frame contradicts."""
+    """Return where the first frame contradicts the description of the cloth."""
     observation = frames.at(0)
     if observation is None:
         return []
@@ -83,7 +83,7 @@ def cloth_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
 
 
 def _scale(recording: Recording, observation: Observation) -> Finding | None:
-    """Everything is seen a power of ten too large or too small: the unit of the depth is wrong."""
+    """Return a finding if sizes are wrong by a power of ten, because the depth unit is wrong."""
     cloth, camera = recording.cloth, recording.cameras[0]
     if not recording.frames[0].depth:
         return None
@@ -140,7 +140,7 @@ def _template(recording: Recording, observation: Observation) -> Finding | None:
 def _flat_template(
     recording: Recording, template: ClothMesh, observation: Observation
 ) -> Finding | None:
-    """A flat template in another size than the flat cloth that it lies on, or beside it."""
+    """Return a finding if a flat template differs in size or place from the flat cloth."""
     if recording.table is None:
         return None
     places, heights = on_table(template.vertices, recording.table)
@@ -163,7 +163,7 @@ def _flat_template(
 def _beside(
     recording: Recording, spread: _Spread, places: Float[np.ndarray, "vertices 2"]
 ) -> Finding | None:
-    """A template of the right size whose middle is not that of the cloth, all of which is seen."""
+    """Return a finding if a template of the right size is beside a cloth that is all visible."""
     if spread.cut_off or recording.observed.lowest_height_m is not None:
         return None
     away_m = float(np.hypot(*np.subtract(_middle(places), spread.middle_m)))
@@ -178,7 +178,7 @@ def _beside(
 
 
 def _worst_side(spread: _Spread, sides: tuple[float, float]) -> tuple[float, float] | None:
-    """The side that is measured worst, and what it should be [m]; None where both fit."""
+    """Return the side with the largest error, and its expected length [m]; None if both fit."""
     pairs = zip(spread.sides_m, sides, strict=True)
     measured, expected = max(pairs, key=lambda pair: abs(np.log(pair[0] / pair[1])))
     if abs(measured / expected - 1.0) <= _SIZE_TOLERANCE:
@@ -187,7 +187,7 @@ def _worst_side(spread: _Spread, sides: tuple[float, float]) -> tuple[float, flo
 
 
 def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
-    """A cloth without a template must lie flat at first; one with a template need not."""
+    """Return a finding if a cloth without a template does not lie flat in the first frame."""
     if recording.cloth.template is not None or spread.cut_off:
         return None
     remedy = "begin with the cloth spread out flat, or give cloth.template as it lies there"
@@ -207,7 +207,7 @@ def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
 
 
 def _size(recording: Recording, spread: _Spread) -> Finding | None:
-    """The sides of the cloth as it lies against `size_m`, which one is measured worst."""
+    """Return a finding if a side of the flat cloth differs from `size_m`."""
     size = recording.cloth.size_m
     flat = spread.rise_m <= _THICK_M
     if size is None or not flat or recording.cloth.kind not in ("towel", "tshirt"):
@@ -249,17 +249,17 @@ def _spread(observation: Observation, table: Table) -> _Spread:
 
 
 def _sides(places: Float[np.ndarray, "points 2"]) -> tuple[float, float]:
-    """Longer and shorter side of the smallest rectangle around places on the table [m]."""
+    """Return the longer and shorter side of the smallest rectangle around places [m]."""
     _, sides, _ = cv2.minAreaRect(places.astype(np.float32))
     return float(max(sides)), float(max(min(sides), 1e-6))
 
 
 def _middle(places: Float[np.ndarray, "points 2"]) -> tuple[float, float]:
-    """Middle of the same rectangle [m]."""
+    """Return the middle of the same rectangle [m]."""
     middle, _, _ = cv2.minAreaRect(places.astype(np.float32))
     return float(middle[0]), float(middle[1])
 
 
 def _longest(points: Float[np.ndarray, "points 3"]) -> float:
-    """Length of a cloud along its longest axis [m]: near the diagonal of a rectangle's box."""
+    """Return the diagonal of the box around a cloud [m]."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -1,8 +1,8 @@
-"""Color against depth in the picture: turned over, turned, shifted, or of another size.
+"""Checks of color against depth in the picture: mirrored, turned, shifted, or of another size.
 
-What moves, and the rims of what stands out of the table, are at the same pixels in color and in
-depth. Both are correlated over all shifts, for the color as it is and as it would be if it were
-turned over, turned or scaled. Nothing is doubted unless another placement fits clearly better.
+Moving objects, and the rims of objects above the table, are at the same pixels in color and in
+depth. Both are correlated over all shifts, for the color as it is and if it were mirrored, turned
+or scaled. Nothing is doubted unless another placement fits clearly better.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 
 _LARGEST_SHIFT = 2
-"""Shift of the color [reduced pixels, 1/160 of the width] up to which it is right. It is 0 on
+"""Largest shift of the color that is accepted [reduced pixels, 1/160 of the width]. It is 0 on
 right recordings, at most 1 on real ones."""
 
 LEAST_FIT = 0.4
@@ -38,26 +38,26 @@ LEAST_FIT = 0.4
 a real T-shirt in front of clutter 0.65; wrong ones stay below 0.35."""
 
 LEAST_GAIN = 0.2
-"""By so much another placement must correlate better than the recorded one."""
+"""Least gain of correlation over the recorded placement for another one to be accepted."""
 
 FRAMES = 12
-"""Frames that are correlated: those in which most moves."""
+"""Number of frames that are correlated: those with the most motion."""
 
 SCALES = (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)
-"""Sizes that a color picture of another stream has, times that of the depth: 1280 x 720 cut or
+"""Sizes of the color pictures of another stream, as multiples of the depth's: 1280 x 720 cut or
 resized to 640 x 480, and 320 x 240 of the same."""
 
 TURNS_DEG = (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0)
 """Angles of the color against the depth that are tried; the best is refined to a degree."""
 
 _LARGEST_TURN_DEG = 2.0
-"""A smaller angle is not told from none."""
+"""Smaller angles cannot be distinguished from none."""
 
 _LEAST_TURN_GAIN = 0.12
-"""The same of a turn. Right recordings gain 0.07 at most."""
+"""The same gain for a turn. Right recordings gain 0.07 at most."""
 
 _LEAST_SHIFT_GAIN = 0.05
-"""The same of a shift on which motion and edges agree."""
+"""The same gain for a shift on which motion and edges agree."""
 
 _Maps = Float[np.ndarray, "frames rows columns"]
 _Pairs = tuple[tuple[_Maps, _Maps], ...]
@@ -65,10 +65,10 @@ _Pairs = tuple[tuple[_Maps, _Maps], ...]
 
 @dataclass(frozen=True)
 class Registration:
-    """How the color lies on the depth.
+    """The registration of the color to the depth.
 
     Attributes:
-        correction: what would place it better; None where nothing clearly would.
+        correction: the correction that would place it clearly better; None if none would.
         fit: sum of the correlations of motion and edges, with the correction.
         as_recorded: the same as recorded.
     """
@@ -79,7 +79,7 @@ class Registration:
 
 
 def registration(pictures: SmallPictures) -> Registration | None:
-    """Return how the color lies on the depth; None where too little moves to say it."""
+    """Return the registration of the color to the depth; None if too little moves to tell."""
     pairs = _maps(pictures)
     if pairs is None:
         return None
@@ -163,7 +163,7 @@ def _finding(
 
 
 def _maps(pictures: SmallPictures) -> _Pairs | None:
-    """Motion and edges of color and of height, without their means; None where too little moves."""
+    """Return motion and edges of color and of height; None if too little moves."""
     if pictures.color is None or len(pictures.frames) < 3:
         return None
     changes = change_maps(pictures, step=2 if len(pictures.frames) > 4 else 1)
@@ -188,7 +188,7 @@ def _changed(pairs: _Pairs, change: Callable[[_Maps], _Maps]) -> _Pairs:
 
 
 def _fit_in_place(pairs: _Pairs) -> float:
-    """Sum of the correlations at no shift."""
+    """Return the sum of the correlations without a shift."""
     total = 0.0
     for pair in pairs:
         color, height = (_centered(maps) for maps in pair)
@@ -197,7 +197,7 @@ def _fit_in_place(pairs: _Pairs) -> float:
 
 
 def _best_shift(pairs: _Pairs) -> tuple[tuple[int, int], float]:
-    """Shift of the color that fits best, to the right and down [reduced pixels], and its fit."""
+    """Return the best shift of the color, to the right and down [reduced pixels], and its fit."""
     fit = np.sum([_correlation(color, height) for color, height in pairs], axis=0)
     rows, columns = fit.shape
     row, column = np.unravel_index(int(fit.argmax()), fit.shape)
@@ -217,7 +217,7 @@ def _scale(color: _Maps, height: _Maps) -> float:
 
 
 def _correlation(color: _Maps, height: _Maps) -> Float[np.ndarray, "shifts_down shifts_right"]:
-    """Normalized cross-correlation over all frames; no shift is in the middle."""
+    """Return the normalized cross-correlation over all frames; zero shift is in the middle."""
     color, height = _centered(color), _centered(height)
     size = [2 * side for side in color.shape[1:]]
     total = np.einsum("fyx,fyx->yx", fft.rfft2(color, size), fft.rfft2(height, size).conj())

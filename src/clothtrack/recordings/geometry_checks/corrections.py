@@ -1,4 +1,4 @@
-"""What would put a finding right, as values that a program can apply."""
+"""Corrections of findings, as values that a program can apply."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,7 +6,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class ColorFlip:
-    """Turn every color picture over: left and right, up and down, or both."""
+    """Mirror every color picture: left and right, up and down, or both."""
 
     columns: bool
     rows: bool
@@ -36,7 +36,7 @@ class ColorTurn:
 
 @dataclass(frozen=True)
 class StreamDelay:
-    """Take one stream of every moment from so many frames later (earlier where negative)."""
+    """Take one stream of every frame from so many frames later (earlier if negative)."""
 
     stream: Literal["color", "depth"]
     frames: int

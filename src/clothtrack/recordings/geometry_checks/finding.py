@@ -1,4 +1,4 @@
-"""What a check of the geometry finds, and what the checks look at."""
+"""The findings of the geometry checks, and the data that the checks use."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ class Finding:
         kind: what is wrong, a stable name for programs, such as "camera_pose" or "color_shift";
             docs/data_format.md lists all.
         measured: what the pictures show, in `unit`.
-        limit: what the recording says, or the limit that is passed, in `unit`.
+        limit: what the recording says, or the limit that is exceeded, in `unit`.
         unit: of both: "m", "deg", "s", "px", or "" for a plain number.
         field: of recording.json, or the file, that is to be corrected first.
         text: the finding in one sentence, with the remedy.
-        severity: "doubt" where a trajectory tracked from this recording must not be trusted;
-            "note" where it loses a little.
-        correction: what would put it right, where that can be computed.
+        severity: "doubt" if a trajectory tracked from this recording must not be trusted; "note" if
+            it loses a little accuracy.
+        correction: the correction, if it can be computed.
     """
 
     kind: str
@@ -46,7 +46,7 @@ class Finding:
 
 
 class ObservedFrames:
-    """The clouds and reduced pictures of a recording, each made once."""
+    """The clouds and reduced pictures of a recording, each computed once."""
 
     def __init__(
         self,
@@ -57,9 +57,9 @@ class ObservedFrames:
         """Read nothing yet.
 
         Args:
-            recording: whose frames they are.
-            cloud: returns what `observe` does, of frames that have been observed already.
-            reducer: was shown pictures that have been decoded already.
+            recording: the recording of the frames.
+            cloud: returns the same as `observe`, for frames that have been observed already.
+            reducer: a reducer that has been given the pictures decoded already.
         """
         self._recording = recording
         self._cloud = cloud or partial(observe, recording)
@@ -67,7 +67,7 @@ class ObservedFrames:
         self._seen: dict[int, Observation | None] = {}
 
     def at(self, frame: int) -> Observation | None:
-        """Return what was seen of the cloth in a frame; None where it is not found."""
+        """Return the observation of the cloth in a frame; None if it is not found."""
         if frame not in self._seen:
             try:
                 self._seen[frame] = self._cloud(self._recording.frames[frame])
@@ -77,12 +77,12 @@ class ObservedFrames:
 
     @cached_property
     def small(self) -> SmallPictures | None:
-        """Reduced pictures of one camera; None where there is no readable depth."""
+        """Reduced pictures of one camera; None if there is no readable depth."""
         return self._reducer.pictures()
 
 
 def reaches_rim(observation: Observation) -> bool:
-    """Whether the cloth reaches the rim of a picture, so that it may go on beyond it."""
+    """Return whether the cloth reaches the rim of a picture, so that it may go on beyond it."""
     for camera in observation.cameras:
         pixels, depth = camera.project(observation.points)
         inside = pixels[depth > 0]
@@ -95,7 +95,7 @@ def reaches_rim(observation: Observation) -> bool:
 def on_table(
     points: Float[np.ndarray, "points 3"], table: Table
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-    """Places of points in the plane of a table, and their heights above it [m]."""
+    """Return the places of points in the plane of a table, and their heights above it [m]."""
     normal = table.normal / np.linalg.norm(table.normal)
     across = np.eye(3)[np.argmin(np.abs(normal))]
     first = np.cross(across, normal)
@@ -106,7 +106,7 @@ def on_table(
 
 
 def power_of_ten(ratio: float) -> float | None:
-    """The power of ten, but for 1, that a ratio is within a quarter of; None where it is none."""
+    """Return the power of ten, other than 1, that a ratio is within a quarter of, or None."""
     if not ratio > 0:
         return None
     power = round(float(np.log10(ratio)))
@@ -114,5 +114,5 @@ def power_of_ten(ratio: float) -> float | None:
 
 
 _NEARLY = 0.1
-"""How far the logarithm of a ratio may be from a whole number: what is wrong by a factor of ten is
-wrong by nothing else."""
+"""Largest distance of the logarithm of a ratio from a whole number; a value that is wrong by a
+factor of ten is wrong by nothing else."""

@@ -1,4 +1,4 @@
-"""The intrinsics by themselves, and against the outline of a flat towel."""
+"""Checks of the intrinsics, by themselves and against the outline of a flat towel."""
 
 import cv2
 import numpy as np
@@ -13,25 +13,26 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import HeightSegmenter, default_segmenter
 
 _FARTHEST_CENTER = 0.05
-"""Distance of the principal point from the middle of the picture, as a share of its side. Lenses of
-depth cameras are mounted to 2 %; so far off are the intrinsics of another picture size."""
+"""Largest distance of the principal point from the middle of the picture, as a share of its side.
+Lenses of depth cameras are mounted to 2 %; intrinsics of another picture size are farther off."""
 
 _WHOLE_PICTURES = (4 / 3, 16 / 9, 16 / 10, 5 / 4)
 """Ratios of the sides of pictures as sensors give them. Others may have been cut out of a larger
 picture, whose principal point may be anywhere."""
 
 _LARGEST_FOCAL_RATIO = 1.04
-"""Ratio of fx and fy. Pixels are square within 0.1 % on sensors; one real set states 2.9 %."""
+"""Largest ratio of fx and fy. Pixels of sensors are square within 0.1 %; one real data set states
+2.9 %."""
 
 _LARGEST_SAG = 0.006
 """Bulge of the sides of a flat towel, as a share of their length, from which the lens is doubted.
 On right recordings it is below 0.3 %."""
 
 _LEAST_STRAIGHTENED = 0.5
-"""So much of the bulge one coefficient of distortion must explain, over all four sides together."""
+"""Least share of the bulge of all four sides that one distortion coefficient must explain."""
 
 _LEAST_SIDE_PX = 100
-"""Sides shorter than this [pixels] are not measured: their bulge would be less than a pixel."""
+"""Sides shorter than this [pixels] are not measured; their bulge would be less than a pixel."""
 
 
 _Sides = tuple[Float[np.ndarray, "_ 2"], ...]
@@ -82,7 +83,7 @@ def _focal_ratio(camera: Camera, field: str) -> Finding | None:
 
 
 def _towel_outline(recording: Recording) -> _Sides | None:
-    """The four sides of a towel in the first frame; None where it is no clean rectangle."""
+    """Return the four sides of a towel in the first frame; None if it is no clean rectangle."""
     contour = _towel_contour(recording)
     if contour is None:
         return None
@@ -96,14 +97,14 @@ def _towel_outline(recording: Recording) -> _Sides | None:
         side = contour[np.arange(begin, end + 1) % len(contour)]
         if len(side) < _LEAST_SIDE_PX:
             return None
-        # A corner is round, and off by a few pixels.
+        # Leave out the corners, which are round and off by a few pixels.
         cut = len(side) // 12
         sides.append(side[cut : len(side) - cut])
     return tuple(sides)
 
 
 def _towel_contour(recording: Recording) -> Float[np.ndarray, "pixels 2"] | None:
-    """Pixels around the towel of the first frame; None where it is not all seen by its color."""
+    """Return the outline of the towel in the first frame; None if its color does not show all."""
     camera = recording.cameras[0]
     if recording.cloth.kind != "towel" or recording.table is None:
         return None
@@ -125,7 +126,7 @@ def _towel_contour(recording: Recording) -> Float[np.ndarray, "pixels 2"] | None
 
 
 def _bulge(outline: _Sides, camera: Camera) -> Finding | None:
-    """The four sides bulge as a radial distortion of the lens makes them."""
+    """Return a finding if the four sides bulge like under radial distortion of the lens."""
     sides = [(side - (camera.cx, camera.cy)) / (camera.fx, camera.fy) for side in outline]
     sags = np.array([_sag(side) for side in sides])
     worst = float(np.abs(sags).max())
@@ -147,7 +148,7 @@ def _bulge(outline: _Sides, camera: Camera) -> Finding | None:
 
 
 def _sag(side: Float[np.ndarray, "points 2"]) -> float:
-    """Height of the parabola through a side over its chord, as a share of its length."""
+    """Return the height of the parabola through a side over its chord, as a share of its length."""
     middle = side.mean(axis=0)
     _, _, axes = np.linalg.svd(side - middle, full_matrices=False)
     along, off = ((side - middle) @ axes.T).T
@@ -157,7 +158,7 @@ def _sag(side: Float[np.ndarray, "points 2"]) -> float:
 
 
 def _undistorted(side: Float[np.ndarray, "points 2"], k1: float) -> Float[np.ndarray, "points 2"]:
-    """Where a pinhole would have seen normalized points that a lens with k1 drew (four rounds)."""
+    """Return normalized points of a lens with k1 as a pinhole camera sees them (four rounds)."""
     straight = side
     for _ in range(4):
         straight = side / (1.0 + k1 * (straight**2).sum(axis=1, keepdims=True))

@@ -1,4 +1,4 @@
-"""The masks against the color: too small, with a hand in them, two things, out of the picture."""
+"""Checks of the masks against the color: wrong size, a hand or second object, cut off."""
 
 import cv2
 import numpy as np
@@ -11,38 +11,38 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import WIDEST_SHARE, main_components
 
 FRAMES = 8
-"""Frames whose masks are held against the color, spread over all."""
+"""Number of frames whose masks are compared with the color, spread over all."""
 
 _LEAST_TOLD_APART = 0.8
 """Share of the pixels deep in the mask that must have colors of the cloth, and share of those far
-away that must not, for colors to say anything."""
+away that must not, for colors to be informative."""
 
 _MOST_RIM_CLOTH = 0.5
 """Share of the rim outside of the masks, two reduced pixels wide (1/80 of the picture), that may
 have the cloth's colors. On right recordings it is below 0.2: shadows and mixed pixels."""
 
 _MOST_RIM_OTHER = 0.5
-"""The same of the rim inside the masks and colors that are not the cloth's."""
+"""The same for the rim inside the masks and colors that are not the cloth's."""
 
 _NEW_COLOR = 14.0
-"""Difference in a and b of CIE Lab from all colors of the first frame's cloth from which a color is
-another one: skin and a red cloth differ by 20."""
+"""Least difference in a and b of CIE Lab from all colors of the first frame's cloth for a color to
+be new: skin and a red cloth differ by 20."""
 
 _HAND_HEIGHT_M = 0.015
-"""Height above the table [m] from which such a part is a hand, and not the table."""
+"""Height above the table [m] from which a part of such colors is a hand, and not the table."""
 
 _MOST_FOREIGN = 0.04
-"""Share of a mask that may have colors that the cloth did not have and that go on outside of it: a
+"""Largest share of a mask with colors that the cloth did not have and that go on outside of it: a
 fingertip has 1 %, a hand 5 to 20."""
 
 _LEAST_FOREIGN_FRAMES = 3
-"""In so many frames at least."""
+"""Least number of frames in which such colors count."""
 
 _SECOND_PART = 0.15
-"""Size of a second part of the first mask, as a share of the first, that is another thing."""
+"""Size of a second part of the first mask, as a share of the first, that is another object."""
 
 _PART_GAP = 3
-"""Distance of such a part from the first [reduced pixels]."""
+"""Least distance of such a part from the first [reduced pixels]."""
 
 _RIM_CONTACT = 5
 """Pixels of the rim of the reduced picture that the cloth may touch: 1/30 of its width. A real
@@ -50,7 +50,7 @@ hanging cloth whose corner is cut off by a few pixels has 4."""
 
 
 def mask_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
-    """Return what is wrong with where the cloth is said to be."""
+    """Return what is wrong with the masks of the cloth."""
     cloth = _cloth(recording, pictures)
     if cloth is None or not cloth[0].any():
         return []
@@ -65,7 +65,7 @@ def mask_findings(recording: Recording, pictures: SmallPictures) -> list[Finding
 def _cloth(
     recording: Recording, pictures: SmallPictures
 ) -> Bool[np.ndarray, "frames rows columns"] | None:
-    """Where the cloth is by its masks, or by its named color; None where neither says it."""
+    """Return the cloth by its masks, or by its named color; None if neither shows it."""
     if pictures.mask is not None:
         return np.stack([main_components(each > 0.5) for each in pictures.mask])
     if recording.cloth.color is None or pictures.color is None:
@@ -75,19 +75,19 @@ def _cloth(
     marks = [(votes_of(each, members) == CORE).astype(np.uint8) for each in pictures.color]
     opened = [cv2.morphologyEx(each, cv2.MORPH_OPEN, kernel).view(bool) for each in marks]
     found = np.stack([main_components(each) for each in opened])
-    # Where the table has the color, too, it says nothing.
+    # If the table has the color, too, the color is not informative.
     return None if found[0].mean() > WIDEST_SHARE else found
 
 
 def _rim(pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]) -> list[Finding]:
-    """The colors of the cloth go on outside of its masks, or others begin inside."""
+    """Return a finding if colors of the cloth go on outside its masks, or others begin inside."""
     chosen = np.unique(np.linspace(0, len(cloth) - 1, FRAMES).round().astype(int))
     assert pictures.color is not None
     color = np.concatenate(list(pictures.color[chosen]))
     masks = [np.pad(cloth[place], 8) for place in chosen]
 
     def ring(inner: int, outer: int) -> Bool[np.ndarray, "rows columns"]:
-        """Pixels whose distance outside of the masks is in between; inside where negative."""
+        """Return pixels whose distance outside of the masks is in between; negative is inside."""
         rings = []
         for mask in masks:
             out = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, 5)
@@ -128,10 +128,10 @@ def _rim(pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]
 def _foreign(
     pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]
 ) -> Bool[np.ndarray, "frames rows columns"]:
-    """Raised parts of the masks with colors that the cloth did not have at first, as a hand has.
+    """Return raised parts of the masks with colors that the cloth did not have at first.
 
-    They count where they go on outside of the mask in the same color, or to the rim of the picture:
-    the other side of a cloth does not.
+    They count as a hand if they go on outside of the mask in the same color, or to the rim of the
+    picture; the other side of a cloth does not.
     """
     parts = np.zeros_like(cloth)
     assert pictures.color is not None
@@ -185,7 +185,7 @@ def _hand(
 
 
 def _second_part(mask: Bool[np.ndarray, "rows columns"]) -> list[Finding]:
-    """Something else lies in the first mask, where nothing cuts the cloth in two yet."""
+    """Return a finding if the first mask, before any tool divides the cloth, has two parts."""
     _, labels = cv2.connectedComponents(mask.view(np.uint8))
     areas = np.bincount(labels.ravel())[1:]
     if len(areas) < 2:

@@ -1,4 +1,4 @@
-"""How far a mesh lies from the cloud of its frame: asked of a template and of a first mesh."""
+"""The distance of a mesh from the cloud of its frame, for a template and for a first mesh."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -9,8 +9,8 @@ from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation
 
 LARGEST_GAP_M = 0.02
-"""Distance of a first mesh from its cloud (root mean square) [m] above which it is not that of the
-cloth seen. On right recordings it is 1 to 6 mm; a pick reaches 30 mm."""
+"""Distance of a first mesh from its cloud (root mean square) [m] above which it is not the mesh of
+the observed cloth. On right recordings it is 1 to 6 mm; a pick reaches 30 mm."""
 
 _LEAST_OBSERVABLE = 0.3
 """Share of the visible vertices that must be observable for their distances to count."""
@@ -23,26 +23,26 @@ def mesh_gap_m(
     *,
     device: str = "cpu",
 ) -> float | None:
-    """Distance of a mesh from what was observed, root mean square of both directions [m].
+    """Return the distance of a mesh from an observation, root mean square of both directions [m].
 
-    From the cloud's points to the surface, and from the visible vertices to the cloud, but for
-    those where nothing could be measured.
+    The directions are from the cloud's points to the surface, and from the visible vertices to the
+    cloud, except those where nothing could be measured.
 
     Args:
-        vertices: of the mesh, in the world [m].
+        vertices: vertices of the mesh, in the world [m].
         faces: its triangles.
-        observation: of the same frame.
+        observation: observation of the same frame.
         device: "cpu" or "cuda:0", for visibility.
 
     Returns:
-        The distance; that of the points alone where too little of the mesh is observable; None
-        where that is so because points were cut away: clouds without the table say nothing about a
+        The distance; that of the points alone if too little of the mesh is observable; None if
+        that is so because points were cut away, as clouds without the table say nothing about a
         cloth that lies on it.
     """
     vertices = np.asarray(vertices, np.float64)
     seen = visible_vertices(vertices, faces, observation.cameras, device=device)
     if not seen.any():
-        # Outside of every picture, while the cloud is inside: nothing is nearer than what is there.
+        # The mesh is outside of every picture, while the cloud is inside: judge all vertices.
         seen = np.ones(len(vertices), dtype=bool)
         judged = seen
     else:

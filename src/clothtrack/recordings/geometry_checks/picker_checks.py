@@ -1,4 +1,4 @@
-"""The picker against the cloth: does it close on cloth, and is cloth where it carries some?"""
+"""Checks of the picker against the cloth: it must close on cloth, and carry cloth."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,20 +12,19 @@ from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import PickAndPlace, Recording
 
 REACH_M = 0.03
-"""A tip that closes farther from the cloth than this [m] takes hold of nothing
-(`tracking.picking`). On right recordings it closes within 9 mm, where its place is lost in missing
-depth within 22 mm."""
+"""A tip that closes farther from the cloth than this [m] holds nothing (`tracking.picking`). On
+right recordings it closes within 9 mm, or within 22 mm if depth is missing there."""
 
 _FARTHEST_CARRIED_M = 0.016
-"""Distance of a closed tip from the cloth [m] that a quarter of its frames may pass: more, and the
-tip is not where the cloth is carried."""
+"""Distance of a closed tip from the cloth [m] that a quarter of its frames may exceed; beyond that,
+the tip is not where the cloth is carried."""
 
 _HIDDEN_M = 0.05
-"""A tip that nothing can be measured at, because a tool or hand is in front, may have cloth beside
-it that is not seen. An arm and hand that reach over the cloth hide what is nearer than this [m]."""
+"""A tip behind a tool or hand, where nothing can be measured, may have unseen cloth beside it. An
+arm and hand that reach over the cloth hide everything nearer than this [m]."""
 
 _CARRIED_FRAMES = 12
-"""So many frames of each action are looked at while its picker is closed."""
+"""Number of frames of each action that are checked while its picker is closed."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class _Hold:
 
     Attributes:
         action: number of the action.
-        name: of the picker.
+        name: name of the picker.
         closed: the frames of the action in which it is closed.
     """
 
@@ -44,7 +43,7 @@ class _Hold:
 
 
 def picker_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
-    """Actions whose picker never closes, closes beside the cloth, or carries none."""
+    """Return actions whose picker never closes, closes beside the cloth, or carries none."""
     findings = []
     for number, action in enumerate(recording.actions):
         for hold in _holds(recording, number, action):
@@ -55,12 +54,12 @@ def picker_findings(recording: Recording, frames: ObservedFrames) -> list[Findin
 
 
 def held_by_name(recording: Recording, picker: str) -> bool:
-    """The recording says what the picker holds, so that its tip need not be there."""
+    """Return whether the recording says what the picker holds; its tip need not be there then."""
     return picker in recording.cloth.held_vertices
 
 
 def allowance_m(recording: Recording) -> float:
-    """How far from the cloth's points a right tip may be besides [m]."""
+    """Return the additional distance that a right tip may have from the cloth's points [m]."""
     cut_away_m = recording.observed.tool_clearance_m
     return cut_away_m + recording.cloth.grasp_uncertainty_m
 
@@ -99,7 +98,10 @@ def _never_closed(hold: _Hold) -> Finding | None:
 
 
 def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) -> Finding | None:
-    """The tip at its closing against the cloth then, and against that before it was hidden."""
+    """Return a finding if the closing tip is away from the cloth, then and when the action starts.
+
+    The second covers cloth that is hidden when the picker closes.
+    """
     first = recording.actions[hold.action].first_frame
     time_s = recording.frames[hold.closed[0]].time_s
     tip = recording.picker_paths[hold.name].position_at(time_s)
@@ -120,7 +122,7 @@ def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) ->
 
 
 def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> Finding | None:
-    """The tip while it is closed against the cloth of the same frames."""
+    """Return a finding if the closed tip is away from the cloth of the same frames."""
     path = recording.picker_paths[hold.name]
     gaps = [
         carried_distances_m(seen, tip[None], allowance_m(recording))[0]
@@ -142,13 +144,13 @@ def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> 
 def carried_distances_m(
     seen: Observation, tips: Float[np.ndarray, "tips 3"], allowance_m: float
 ) -> Float[np.ndarray, " tips"]:
-    """Distance of tips from the cloth of a frame [m], less what may be there and is not seen."""
+    """Return the distances of tips from the cloth of a frame [m], less margins for unseen cloth."""
     gaps = _distances_m(seen, tips) - allowance_m
     return np.maximum(gaps - _HIDDEN_M * _hidden(seen, tips), 0.0)
 
 
 def _hidden(seen: Observation, tips: Float[np.ndarray, "tips 3"]) -> Bool[np.ndarray, " tips"]:
-    """In some picture, and on a hidden pixel in all that it is in."""
+    """Return which tips are in some picture, and on a hidden pixel in all that they are in."""
     inside, clear = np.zeros((2, len(tips)), dtype=bool)
     for camera in seen.cameras:
         pixels, depth = camera.project(tips)
@@ -166,7 +168,7 @@ def _hidden(seen: Observation, tips: Float[np.ndarray, "tips 3"]) -> Bool[np.nda
 
 
 def _beyond(seen: Observation, tip: Float[np.ndarray, " 3"]) -> bool:
-    """The cloth goes on beyond the picture, and the tip may be there: nothing is known of it."""
+    """Return whether a tip outside the pictures may be at cloth that goes on beyond them."""
     for camera in seen.cameras:
         (pixel,), (depth,) = camera.project(tip[None])
         if depth > 0 and (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
@@ -175,7 +177,7 @@ def _beyond(seen: Observation, tip: Float[np.ndarray, " 3"]) -> bool:
 
 
 def _gap_m(seen: Observation, tip: Float[np.ndarray, " 3"]) -> float:
-    """Distance of a tip from the nearest point of the cloth [m]; NaN where none is seen."""
+    """Return the distance of a tip from the nearest point of the cloth [m]; NaN if none is seen."""
     if not len(seen.points):
         return float("nan")
     return float(_distances_m(seen, tip[None])[0])
@@ -184,8 +186,8 @@ def _gap_m(seen: Observation, tip: Float[np.ndarray, " 3"]) -> float:
 def _distances_m(
     seen: Observation, tips: Float[np.ndarray, "tips 3"]
 ) -> Float[np.ndarray, " tips"]:
-    """Distance of tips from the nearest point of the cloth [m].
+    """Return the distances of tips from the nearest point of the cloth [m].
 
-    Of few tips: making a tree of the points takes longer than trying all.
+    This is for few tips: building a tree of the points takes longer than trying all.
     """
     return cdist(tips, seen.points).min(axis=1)

@@ -1,8 +1,8 @@
-"""The picker's clock: at which lag does the path of the closed tip lead through the moving cloth?
+"""Check of the picker's clock: the lag at which the path of the closed tip fits the moving cloth.
 
-Cloth that is carried is where the tip is. A tip whose times are late is still in the air when the
-cloth has been laid down, and on the table when the cloth is in the air. So the path is shifted in
-time, and the lag at which it meets the cloth of the pictures best is the clock's error.
+Carried cloth is where the tip is. A tip whose times are late is still in the air when the cloth has
+been laid down, and on the table when the cloth is in the air. The path is therefore shifted in
+time, and the lag at which it fits the observed cloth best is the clock's error.
 
 Correlating the speeds of tip and cloth was tried: cloth that falls after the release, and cloth
 that a tool uncovers, moved the maximum by 0.4 s on right recordings of T-shirts.
@@ -24,40 +24,40 @@ from clothtrack.recordings.geometry_checks.picker_checks import (
 from clothtrack.recordings.recording import PickerPath, Recording
 
 _LARGEST_LAG_S = 0.2
-"""Difference of the two clocks [s] from which they are doubted, and one and a half frames at least.
+"""Difference of the two clocks [s] from which they are doubted, at least one and a half frames.
 Right recordings are never doubted below `_LEAST_GAIN_M`, whatever their lag."""
 
 FARTHEST_LAG_S = 1.5
-"""Lags up to this [s] are tried."""
+"""Largest lag that is tried [s]."""
 
 STEP_S = 0.05
-"""Between lags that are tried [s]."""
+"""Difference between lags that are tried [s]."""
 
 _LEAST_GAIN_M = 0.008
-"""By so much nearer to the cloth the shifted path must be [m] for the clock to be doubted."""
+"""Least reduction of the mean distance from the cloth by the lag [m] for a clock to be doubted."""
 
 _LARGEST_REST_M = 0.01
 """Mean distance of the shifted path from the cloth [m] above which no lag explains the path."""
 
 FAR_M = 0.04
-"""Distances from the cloth count at most this [m]: the tool hides its own tip at times."""
+"""Distances from the cloth are clipped to this [m], because the tool may hide its own tip."""
 
 LEAST_SHARE = 0.8
 """Share of the closed time that must fall on frames with the lag."""
 
 MOST_FRAMES = 40
-"""Frames that are looked at, spread over the actions: each costs some 30 ms."""
+"""Number of frames used, spread over the actions; each costs some 30 ms."""
 
 
 @dataclass(frozen=True)
 class ClockLag:
-    """The picker's clock against that of the pictures.
+    """The lag of the picker's clock against that of the pictures.
 
     Attributes:
-        lag_s: how long after the tip the cloth moves, by the recorded times [s]; below 0 where the
+        lag_s: how long after the tip the cloth moves, by the recorded times [s]; below 0 if the
             picker's times are late.
         unshifted_m: mean distance of the closed tips from the cloth, as recorded [m].
-        shifted_m: the same with the lag taken out [m].
+        shifted_m: the same with the lag removed [m].
     """
 
     lag_s: float
@@ -65,7 +65,7 @@ class ClockLag:
     shifted_m: float
 
     def is_wrong(self, times_s: Sequence[float]) -> bool:
-        """Return whether the clock is clearly wrong, beside pictures of these times [s]."""
+        """Return whether the clock is clearly wrong, for pictures at these times [s]."""
         clear = (
             self.shifted_m <= _LARGEST_REST_M and self.unshifted_m - self.shifted_m >= _LEAST_GAIN_M
         )
@@ -73,15 +73,15 @@ class ClockLag:
 
 
 def largest_lag_s(times_s: Sequence[float]) -> float:
-    """Return the lag [s] that nobody doubts beside pictures of these times [s]."""
+    """Return the largest lag [s] that is not doubted for pictures at these times [s]."""
     return max(_LARGEST_LAG_S, 1.5 * float(np.median(np.diff(times_s))))
 
 
 def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
-    """The picker's clock, when it clearly runs before or behind that of the pictures."""
+    """Return a finding if the picker's clock clearly runs before or behind that of the pictures."""
     total_m, count = _beside(recording, frames, np.zeros(1))
     if total_m[0] < _LEAST_GAIN_M * max(count[0], 1.0):
-        return []  # No lag can bring the path so much nearer: there is no need to try them.
+        return []  # No lag can bring the path so much nearer, so none is tried.
     lag = picker_lag(recording, frames)
     if lag is None:
         return []
@@ -104,9 +104,9 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
 
 
 def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
-    """The lag at which the closed tips are nearest to the cloth.
+    """Return the lag at which the closed tips are nearest to the cloth.
 
-    None where nothing can be said: no action, or only pickers whose hold the recording names.
+    None if it cannot be found: no action, or only pickers whose held vertices are recorded.
     """
     lags = np.arange(-FARTHEST_LAG_S, FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
     total, count = _beside(recording, frames, lags)
@@ -122,7 +122,7 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
 def _beside(
     recording: Recording, frames: ObservedFrames, lags: Float[np.ndarray, " lags"]
 ) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
-    """Distances of the closed tips from the cloth [m], summed over the frames, and their number."""
+    """Return the sum of the distances of closed tips from the cloth [m], and their number."""
     total, count = np.zeros(len(lags)), np.zeros(len(lags))
     paths = [
         path for name, path in recording.picker_paths.items() if not held_by_name(recording, name)
@@ -145,7 +145,7 @@ def _beside(
 
 
 def _closed(path: PickerPath, times: Float[np.ndarray, " times"]) -> np.ndarray:
-    """At which of these times of its own clock a picker is closed."""
+    """Return at which of these times of its own clock a picker is closed."""
     place = np.searchsorted(path.time_s, times + 1e-9, side="right") - 1
     inside = (place >= 0) & (times <= path.time_s[-1])
     return inside & path.closed[np.clip(place, 0, None)]

@@ -1,4 +1,4 @@
-"""All frames of one camera, reduced: what moves in color and in depth, looked at cheaply."""
+"""Reduced pictures of one camera, for cheap checks of motion in color and in depth."""
 
 import zlib
 from collections.abc import Mapping, Sequence
@@ -18,11 +18,11 @@ from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import height_per_depth
 
 COLUMNS = 160
-"""Pictures are reduced by a whole factor to about so many columns."""
+"""Approximate number of columns to which pictures are reduced, by a whole factor."""
 
 MOST_FRAMES = 120
-"""So many consecutive frames are looked at, from a little before the first action on: a longer
-recording shows nothing else, and each frame costs some 10 ms to decode."""
+"""Most consecutive frames that are used, from a little before the first action on: more frames show
+nothing new, and each frame costs some 10 ms to decode."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class SmallPictures:
 
     @cached_property
     def filled_m(self) -> Float[np.ndarray, "rows columns"]:
-        """Middle height of each pixel over all frames [m]; 0 where it was never measured."""
+        """Median height of each pixel over all frames [m]; 0 where it was never measured."""
         known = np.isfinite(self.height_m)
         ordered = np.sort(np.where(known, self.height_m, np.inf), axis=0)
         place = np.maximum(known.sum(axis=0) - 1, 0) // 2
@@ -61,10 +61,10 @@ class SmallPictures:
 
 
 class PictureReducer:
-    """Reduces the pictures of the first camera with depth, those of each frame once.
+    """A reducer of the pictures of the first camera with depth, once per frame.
 
-    Decoding costs ten times as much: who decodes them anyway shows them to `look`. What nobody has
-    shown is read in the end.
+    Decoding costs ten times as much as reducing, so code that decodes pictures anyway passes them
+    to `look`. The others are read in the end.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -79,7 +79,7 @@ class PictureReducer:
         self._reduced: dict[int, _Reduced] = {}
 
     def look(self, frame: Frame, views: Sequence[CameraView]) -> None:
-        """Reduce what was decoded of a frame, if it is one of those that are looked at."""
+        """Reduce the decoded pictures of a frame, if it is one of the frames used."""
         if frame.index not in self._frames or frame.index in self._reduced:
             return
         for view in views:
@@ -90,7 +90,7 @@ class PictureReducer:
                 self._reduce(frame, view.camera, view.depth_m, color)
 
     def pictures(self) -> SmallPictures | None:
-        """Return the reduced pictures; None where there are none, or one cannot be read."""
+        """Return the reduced pictures; None if there are none, or one cannot be read."""
         camera, frames = self._camera, tuple(self._frames.values())
         if camera is None or not frames:
             return None
@@ -128,7 +128,7 @@ class PictureReducer:
         factor, table = _factor(camera), self._recording.table
         slope, offset_m = (-1.0, 0.0) if table is None else height_per_depth(camera, table)
         share = _mean(depth_m > 0, factor)
-        # Where nothing was measured the depth is 0, and adds nothing.
+        # Pixels without a measurement have depth 0 and add nothing.
         total_m = _mean(depth_m * slope, factor)
         height_m = np.where(share >= 0.5, total_m / np.maximum(share, 0.5) + offset_m, np.nan)
         self._reduced[frame.index] = _Reduced(
@@ -150,12 +150,12 @@ class _Reduced:
 
 
 def small_pictures(recording: Recording) -> SmallPictures | None:
-    """Return the reduced pictures of the first camera with depth; None where there are none."""
+    """Return the reduced pictures of the first camera with depth; None if there are none."""
     return PictureReducer(recording).pictures()
 
 
 def _looked_at(recording: Recording, camera: str) -> Mapping[int, Frame]:
-    """Return the frames, by their number."""
+    """Return the frames used, by their number."""
     begin = max(recording.actions[0].first_frame - 10, 0) if recording.actions else 0
     begin = max(min(begin, len(recording.frames) - MOST_FRAMES), 0)
     frames = recording.frames[begin : begin + MOST_FRAMES]
@@ -163,7 +163,7 @@ def _looked_at(recording: Recording, camera: str) -> Mapping[int, Frame]:
 
 
 def _repeated(sums: Sequence[int | None]) -> Bool[np.ndarray, " frames"]:
-    """Return which checksums are those of the frame before; none is where there are none."""
+    """Return which checksums equal that of the previous frame; a missing one never does."""
     return np.array([False, *(a is not None and a == b for a, b in pairwise(sums))])
 
 
@@ -172,7 +172,7 @@ def _factor(camera: Camera) -> int:
 
 
 def _mean(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Mean of every block of pixels; what remains at the rim is left out."""
+    """Return the mean of every block of pixels; a remainder at the rim is left out."""
     rows, columns = (size // factor for size in picture.shape[:2])
     picture = picture[: rows * factor, : columns * factor]
     if picture.dtype == bool:

@@ -1,4 +1,4 @@
-"""Color against depth in time: one late, one stuck, frames out of order or twice."""
+"""Checks of color against depth in time: late or stuck streams, wrong order, double frames."""
 
 from itertools import pairwise
 
@@ -17,46 +17,47 @@ from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.recording import Recording
 
 _LARGEST_DELAY = 1
-"""Frames by which one stream may be behind the other: shutters and time stamps differ by one."""
+"""Most frames by which one stream may be late: shutters and time stamps differ by one."""
 
 _FARTHEST_DELAY = 15
-"""Delays up to so many frames are tried."""
+"""Largest delay that is tried [frames]."""
 
 LEAST_FIT, LEAST_GAIN = 0.3, 0.1
 """Correlation that another delay must reach, and by how much it must be better than none. Motion
 correlates with 0.5 to 0.9 on right recordings."""
 
 _LEAST_MOVING_STEPS = 5
-"""Fewer steps with motion than this say nothing about delay or order."""
+"""Least number of steps with motion from which delay or order can be judged."""
 
 _STUCK_FRAMES = 3
-"""So many frames in a row with the same bits are a stream that is stuck, if something moves."""
+"""Number of identical frames in a row that make a stuck stream, if something moves."""
 
 _STUCK_SPEED = 0.3
-"""Something moves in steps that change at least this share of what the middle moving step does."""
+"""Something moves in a step that changes at least this share of the median moving step."""
 
 _MOST_SAME = 0.02
-"""Share of the other frames that may repeat a picture where the camera has noise."""
+"""Largest share of the other frames that may repeat a picture if the camera has noise."""
 
 _LEAST_CARRIED_M = 0.03
-"""A closed tip that goes so far [m] moves cloth in the pictures."""
+"""A closed tip that moves this far [m] moves cloth in the pictures."""
 
 _MASK_SHARE = 0.8
-"""Share of the way of the closed tips during which a mask without noise must stay the same."""
+"""Share of the path of the closed tips over which a mask without noise must not change to be stuck.
+"""
 
 _CLEARLY = 1.25
-"""Two frames are exchanged where that brings them so many times nearer to their neighbors. On a
-right film of two folds chance alone does it for 16 % of the frames without a margin."""
+"""Two frames count as exchanged if that brings them so many times nearer to their neighbors. On a
+right recording of two folds, 16 % of the frames would count by chance without a margin."""
 
 MOST_OUT_OF_ORDER, LEAST_OUT_OF_ORDER = 0.05, 3
-"""Share of moving frames, and number, from which the order is doubted: frames so far from those
-around them that the way is shorter with the next one first. Right recordings have 2 % at most."""
+"""Share and number of moving frames from which the order is doubted. They are frames that would be
+nearer to their neighbors with the next one first. Right recordings have 2 % at most."""
 
 _MOST_AWAY_M = 0.15
-"""Heights count up to so far from their middle over all frames [m]."""
+"""Largest difference of heights from their median over all frames; others are clipped [m]."""
 
 _MOST_TWICE = 0.2
-"""Share of the frames that come twice from which tracking is disturbed."""
+"""Share of double frames from which tracking is disturbed."""
 
 
 def stream_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
@@ -70,7 +71,7 @@ def stream_findings(recording: Recording, pictures: SmallPictures) -> list[Findi
 
 
 def _delayed(changes: ChangeMaps) -> list[Finding]:
-    """The depth moves where the color moves, some frames later or earlier."""
+    """Return a finding if the depth moves as the color does, some frames later or earlier."""
     if changes.color is None or moving(changes.height_m).sum() < _LEAST_MOVING_STEPS:
         return []
     color, height = _coarse(changes.color), _coarse(changes.height_m)
@@ -96,7 +97,7 @@ def _delayed(changes: ChangeMaps) -> list[Finding]:
 
 
 def _coarse(maps: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, "steps places"]:
-    """Quarters of the size, without the mean of the frame, one row each."""
+    """Return the maps at a quarter of their size, without their mean, one row each."""
     rows, columns = (max(side // 4, 1) for side in maps.shape[1:])
     small = [cv2.resize(each, (columns, rows), interpolation=cv2.INTER_AREA) for each in maps]
     flat = np.stack(small).reshape(len(maps), -1).astype(np.float64)
@@ -109,7 +110,7 @@ def _fit(
     height: Float[np.ndarray, " steps"],
     delay: int,
 ) -> float:
-    """Correlation of the color with the height so many steps later; 0 where half has no partner."""
+    """Return the correlation of color with later height; 0 if half of either has no partner."""
     count = len(color) - abs(delay)
     first, later = max(-delay, 0), max(delay, 0)
     used = color[first : first + count].sum(), height[later : later + count].sum()
@@ -119,7 +120,7 @@ def _fit(
 
 
 def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -> list[Finding]:
-    """One stream repeats a picture bit for bit while the other moves, or cloth is carried."""
+    """Return streams that repeat a picture bit for bit while the other, or cloth, moves."""
     found = []
     carried_m = _carried_m(recording, pictures)
     streams = [("depth", pictures.same_depth, changes.color)]
@@ -139,7 +140,7 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
             gone_m = carried_m[begin:end].sum()
             carried = noisy and gone_m >= _LEAST_CARRIED_M
             if name == "mask":
-                # Where it changes at times, the picker's clock may be wrong, and not the mask.
+                # If it changes at times, the picker's clock may be wrong, and not the mask.
                 carried = gone_m >= max(_LEAST_CARRIED_M, _MASK_SHARE * carried_m.sum())
             if end - begin < _STUCK_FRAMES - 1 or not (moved or carried):
                 continue
@@ -158,7 +159,7 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
 
 
 def _carried_m(recording: Recording, pictures: SmallPictures) -> Float[np.ndarray, " frames"]:
-    """How far closed tips went since the frame before [m]."""
+    """Return how far closed tips moved since the previous frame [m]."""
     times = [recording.frames[frame].time_s for frame in pictures.frames]
     gone = np.zeros(len(times))
     for path in recording.picker_paths.values():
@@ -170,13 +171,13 @@ def _carried_m(recording: Recording, pictures: SmallPictures) -> Float[np.ndarra
 
 
 def _runs(marks: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
-    """First and behind the last place of each run of marks."""
+    """Return the first place of each run of marks, and the place after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _disordered(pictures: SmallPictures) -> list[Finding]:
-    """Neighbors that would be nearer to the frames around them the other way round."""
+    """Return a finding if neighbors would fit the frames around them better when exchanged."""
     if len(pictures.frames) < _LEAST_MOVING_STEPS + 3:
         return []
     away = np.nan_to_num(pictures.height_m - pictures.filled_m, nan=0.0)
@@ -204,9 +205,9 @@ def _disordered(pictures: SmallPictures) -> list[Finding]:
 def _apart(
     pictures: Float[np.ndarray, "frames rows columns *channels"],
 ) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps_of_two"]]:
-    """Differences of pictures one frame apart and two, as shares of the middle one of one frame.
+    """Return the differences of pictures one and two frames apart, over the median one for one.
 
-    Blurred, so that what moves by more than its own width is still nearer after a shorter way.
+    Pictures are blurred, so that the difference still grows with motion beyond an object's width.
     """
     columns, rows = pictures.shape[2] // 4, pictures.shape[1] // 4
     soft = np.stack(
@@ -221,14 +222,14 @@ def _apart(
 
 
 def _relative(changes: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, " steps"]:
-    """Change of each step, as a share of that of the middle moving step."""
+    """Return the change of each step, as a share of that of the median moving step."""
     total = changes.sum(axis=(1, 2))
     typical = float(np.median(total[moving(changes)])) if moving(changes).any() else np.inf
     return total / typical
 
 
 def _twice(pictures: SmallPictures, stuck: bool) -> list[Finding]:
-    """Single frames that repeat the one before, although a camera's noise never repeats."""
+    """Return a finding for single frames that repeat the previous one, which noise never does."""
     same = pictures.same_depth
     if pictures.color is not None:
         same = same & pictures.same_color

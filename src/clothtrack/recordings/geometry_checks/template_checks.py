@@ -1,4 +1,4 @@
-"""The template and the size by themselves: a surface, and of a size that garments have."""
+"""Checks of the template, which must be one surface, and of the size, which must be plausible."""
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -11,14 +11,14 @@ from clothtrack.recordings.recording import Recording
 
 _WELD_M = 0.0005
 """Boundary vertices nearer than this [m] to one of another triangle are one vertex, written twice:
-layers of a template lie 1 mm apart or more, and edges are 5 mm long."""
+layers of a template are at least 1 mm apart, and edges are 5 mm long."""
 
 _MOST_DOUBLE = 0.02
-"""Share of the vertices that may be double: a seam that was left open has less."""
+"""Largest share of the vertices that may be double; a seam that was left open has less."""
 
 _MOST_SLIVERS = 0.02
-"""Share of the triangles that may have no area, or a height of less than 1 % of their longest side:
-the solver's bending has no meaning there."""
+"""Largest share of the triangles without area, or with a height of less than 1 % of their longest
+side; the solver's bending has no meaning there."""
 
 _LEAST_PIECE = 0.02
 """A piece with less than this share of the vertices is a speck; two larger ones are two cloths."""
@@ -32,11 +32,11 @@ _PLAUSIBLE_M = {
 from a baby's shirt to 5XL with its sleeves spread, from a baby's trousers to the longest sold."""
 
 _LEAST_ASPECT = 0.2
-"""Shorter side of a garment as a share of the longer one: 0.25 for trousers laid leg on leg."""
+"""Least shorter side, as a share of the longer one; it is 0.25 for trousers laid leg on leg."""
 
 
 def template_findings(recording: Recording) -> list[Finding]:
-    """Return why the template is no cloth's surface: at most one finding."""
+    """Return why the template is not the surface of a cloth: at most one finding."""
     template = recording.cloth.template
     if template is None:
         return []
@@ -75,7 +75,7 @@ def _finding(measured: float, limit: float, shown: str) -> Finding:
 
 
 def _double(template: ClothMesh) -> Finding | None:
-    """Boundary vertices with another one in the same place: triangles that are not joined."""
+    """Return a finding for boundary vertices in the same place, whose triangles are not joined."""
     counts, edges = _edge_counts(template)
     rim = np.unique(edges[counts == 1])
     if not len(rim):
@@ -114,7 +114,7 @@ def _slivers(template: ClothMesh) -> Finding | None:
 
 
 def _edge_counts(template: ClothMesh) -> tuple[np.ndarray, np.ndarray]:
-    """How many triangles have each edge, and the edges."""
+    """Return how many triangles have each edge, and the edges."""
     faces = template.faces
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     unique, counts = np.unique(edges, axis=0, return_counts=True)

@@ -1,4 +1,4 @@
-"""The closed tip against what moves in the pictures, and against the hand that they show."""
+"""Checks of the closed tip against motion in the pictures, and against the hand in them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -25,53 +25,53 @@ _STEP = 2
 """Frames between two pictures that are compared."""
 
 _FARTHEST_MOTION_M = 0.02
-"""Distance [m] of what moves in the picture from a tip that carries cloth, the mean of the two
-frames where it is farthest. On right recordings it is at most 5 mm."""
+"""Largest distance [m] of motion in the picture from a tip that carries cloth, as the mean of the
+two frames where it is farthest. On right recordings it is at most 5 mm."""
 
 _LEAST_STEP_M = 0.015
-"""A tip that goes so far in two frames [m] moves what it holds by more than the noise."""
+"""A tip that moves this far in two frames [m] moves what it holds by more than the noise."""
 
 _LEAST_FRAMES = 5
-"""Fewer frames than this say nothing."""
+"""Fewer frames than this are not enough."""
 
 _STANDS_M = 0.002
-"""A tip that stays within this of a place [m] stands."""
+"""A tip that stays within this distance of a place [m] stands still."""
 
 _AROUND_M = 0.025
-"""What is this near to a tip that stands [m] is what it holds, or what holds it."""
+"""Things this near to a tip that stands still [m] are what it holds, or what holds it."""
 
 _LARGEST_CHANGE = 0.5
-"""Share of the picture around a tip that stands that may change: fingers, swinging cloth."""
+"""Largest share of the picture around such a tip that may change: fingers, swinging cloth."""
 
 _LONGEST_S = 0.2
-"""For how long more may be changed [s]: while fingers open."""
+"""Time for which more may change, while fingers open [s]."""
 
 _STANDS_HIGH_M = 0.015
 _ROSE_M = 0.01
-"""Above the table [m], and above what is usual at its pixel: something that came."""
+"""Heights above the table, and above the usual height at a pixel, of something that came [m]."""
 
 _FROM_CLOTH_M = 0.012
-"""What is nearer to points of the cloth [m] may be cloth."""
+"""Things nearer to points of the cloth [m] may be cloth."""
 
 _HALF_THICKNESS_M = 0.025
-"""Of a hand or gripper [m]: of a thinner tool the tip is often not measured."""
+"""Least half thickness of a hand or gripper [m]; tips of thinner tools are often not measured."""
 
 _MEASURED_TO_ITS_TIP_M = 0.03
-"""Such a hand is measured up to its tip when it is this near to the path [m] in two frames."""
+"""Such a hand is measured up to its tip if it is this near to the path [m] in two frames."""
 
 _FARTHEST_HAND_M = 0.035
-"""Distance of a closed tip from the hand [m] that three frames in succession may not all pass. On
-right recordings they do not all pass 23 mm, on paths of clicks that are 0.1 s off 26."""
+"""Distance of a closed tip from the hand [m] that three frames in succession may not all exceed. On
+right recordings they do not all exceed 23 mm, on paths from clicks that are 0.1 s off 26."""
 
 _BEHIND_M = 0.02
-"""A tip so far behind cloth [m] may have a hand that is not seen."""
+"""A tip this far behind cloth [m] may have a hand that is not seen."""
 
 _Hold = tuple[int, str]
 """Number of an action, and one of its pickers."""
 
 
 def motion_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
-    """Return tips that move where nothing does, or stand where what they hold moves."""
+    """Return tips that move where nothing moves, or stand still while what they hold moves."""
     found = []
     for name in recording.picker_paths:
         if held_by_name(recording, name):
@@ -87,7 +87,7 @@ def motion_findings(recording: Recording, pictures: SmallPictures) -> list[Findi
 
 
 def _moves_nothing(recording: Recording, gaps: list[float], hold: _Hold) -> list[Finding]:
-    """Nothing moves in the picture where a closed tip moves."""
+    """Return a finding if nothing moves in the picture where a closed tip moves."""
     number, name = hold
     limit_m = _FARTHEST_MOTION_M + allowance_m(recording)
     gap_m = float(np.mean(sorted(gaps)[-2:])) if len(gaps) >= _LEAST_FRAMES else 0.0
@@ -106,7 +106,7 @@ def _moves_nothing(recording: Recording, gaps: list[float], hold: _Hold) -> list
 def _motion_gaps_m(
     recording: Recording, pictures: SmallPictures, name: str
 ) -> Iterator[tuple[int, float]]:
-    """Frames with a moving closed tip in the picture, and how far from it something moves [m]."""
+    """Yield frames with a moving closed tip in the picture, and its distance from motion [m]."""
     path, camera = recording.picker_paths[name], pictures.camera
     if len(pictures.frames) <= _STEP:
         return
@@ -129,7 +129,7 @@ def _motion_gaps_m(
 
 
 def _nearest(moved: Bool[np.ndarray, "rows columns"], spots: Float[np.ndarray, "2 2"]) -> float:
-    """Distance of the nearer of two spots from the nearest pixel that moved [reduced pixels]."""
+    """Return the distance of the nearer of two spots from a moved pixel [reduced pixels]."""
     if not moved.any():
         return float(np.hypot(*moved.shape))
     pixels = np.minimum(spots.astype(int), np.array(moved.shape[::-1]) - 1)
@@ -137,7 +137,7 @@ def _nearest(moved: Bool[np.ndarray, "rows columns"], spots: Float[np.ndarray, "
 
 
 def _stands(recording: Recording, pictures: SmallPictures, hold: _Hold) -> list[Finding]:
-    """A tip that has carried cloth stands, and what it held is not there any more."""
+    """Return a finding if a tip that has carried cloth stands still and the cloth has left it."""
     number, name = hold
     path, action = recording.picker_paths[name], recording.actions[number]
     times = {
@@ -150,7 +150,7 @@ def _stands(recording: Recording, pictures: SmallPictures, hold: _Hold) -> list[
         return []
     tips = {place: path.position_at(time_s) for place, time_s in times.items()}
     last = max(times)
-    # Where it stands at the end, and since when.
+    # Find where it stands at the end, and since when.
     moving = [at for at in times if np.linalg.norm(tips[at] - tips[last]) > _STANDS_M]
     if not moving or _way_m(tips, moving) < _LEAST_STEP_M:
         return []
@@ -170,14 +170,14 @@ def _stands(recording: Recording, pictures: SmallPictures, hold: _Hold) -> list[
 
 
 def _way_m(tips: Mapping[int, Float[np.ndarray, " 3"]], places: Sequence[int]) -> float:
-    """How far a tip gets from the first of some frames [m]."""
+    """Return the largest distance of a tip from its position in the first of some frames [m]."""
     return max(float(np.linalg.norm(tips[at] - tips[places[0]])) for at in places)
 
 
 def _changed(
     pictures: SmallPictures, before: int, after: int, tip: Float[np.ndarray, " 3"]
 ) -> bool:
-    """Whether most of the picture around a tip is another one in two frames."""
+    """Return whether most of the picture around a tip differs between two frames."""
     camera, factor = pictures.camera, pictures.factor
     (spot,), (depth,) = camera.project(tip[None])
     if not (depth > 0 and (spot >= 0).all() and (spot < (camera.width, camera.height)).all()):
@@ -203,7 +203,7 @@ def _changed(
 
 
 def hand_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
-    """Return tips that are elsewhere than the hand or gripper in the pictures."""
+    """Return tips that are away from the hand or gripper in the pictures."""
     pictures = frames.small
     if pictures is None or recording.table is None or recording.observed.tool_clearance_m > 0:
         return []
@@ -216,12 +216,12 @@ def hand_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]
 
 
 class _Hands:
-    """Points of what comes into the pictures and is not cloth."""
+    """Points of things that come into the pictures and are not cloth."""
 
     def __init__(self, recording: Recording, pictures: SmallPictures) -> None:
         assert recording.table is not None
         camera, factor = pictures.camera, pictures.factor
-        # What is low in a tenth of the frames; what is never measured hides nothing.
+        # The height that a tenth of the frames are below; unmeasured pixels hide nothing.
         heights = np.where(np.isfinite(pictures.height_m), pictures.height_m, np.inf)
         low = len(heights) // 10
         usual = np.partition(heights, low, axis=0)[low]
@@ -232,7 +232,7 @@ class _Hands:
         self._places = {frame: place for place, frame in enumerate(pictures.frames)}
 
     def at(self, frame: int, seen: Observation) -> Float[np.ndarray, "points 3"] | None:
-        """Its points in a frame [m]; None where it is too thin to be measured up to its tip."""
+        """Return the points in a frame [m]; None if too thin to be measured up to the tip."""
         if frame not in self._places:
             return None
         camera, factor = self._pictures.camera, self._pictures.factor
@@ -247,7 +247,7 @@ class _Hands:
         away = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         local = np.column_stack([away, np.ones(len(away))]) * depth_m[:, None]
         points = local @ camera.world_from_camera[:3, :3].T + camera.position
-        # A tree that is asked once is not worth balancing.
+        # A tree with a single query is not worth balancing.
         cloth = cKDTree(seen.points, compact_nodes=False, balanced_tree=False)
         other = cloth.query(points)[0] > _FROM_CLOTH_M
         if not other.any():
@@ -258,7 +258,7 @@ class _Hands:
 
 
 def _half_thickness(shape: Bool[np.ndarray, "rows columns"]) -> float:
-    """How far its innermost pixel is from its rim [pixels]; single missing pixels are no rim."""
+    """Return the distance of the innermost pixel from the rim [pixels]; pinholes are no rim."""
     whole = cv2.morphologyEx(shape.view(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     return float(cv2.distanceTransform(whole, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max())
 
@@ -266,7 +266,7 @@ def _half_thickness(shape: Bool[np.ndarray, "rows columns"]) -> float:
 def _hand_elsewhere(
     recording: Recording, frames: ObservedFrames, hands: _Hands, hold: _Hold
 ) -> list[Finding]:
-    """The hand is measured up to its tip in some frames, and is far from the path in others."""
+    """Return a finding if a hand that is near the path in some frames is far from it in others."""
     number, name = hold
     path, gaps = recording.picker_paths[name], []
     for frame in carried_frames(recording, number, name):
@@ -293,7 +293,7 @@ def _hand_elsewhere(
 
 
 def _behind_cloth(seen: Observation, tip: Float[np.ndarray, " 3"]) -> bool:
-    """Cloth hides the tip, or it is in no picture."""
+    """Return whether cloth hides the tip, or it is in no picture."""
     hidden = True
     for camera in seen.cameras:
         (pixel,), (depth,) = camera.project(tip[None])
