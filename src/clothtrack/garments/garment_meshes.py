@@ -17,6 +17,7 @@ from clothtrack.garments.outlines import (
     ShirtOutline,
     TrousersOutline,
     cut_open,
+    neckline,
     shirt_spans,
     tshirt_corners,
 )
@@ -44,6 +45,9 @@ TOWEL_SIDES_M = (0.22, 0.34)
 
 TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M = (0.42, 0.54), (0.38, 0.48)
 """Ranges of the widths, from sleeve to sleeve, and lengths of generated T-shirts [m]."""
+
+_SAME_M = 1e-9
+"""Corners of two pieces that are nearer than this [m] are one."""
 
 _SEAM_TAPER_M = 0.02
 """Distance [m] from a seam over which the two layers of a flat garment reach their full gap."""
@@ -122,7 +126,9 @@ def tshirt(
     """
     _check_size(width_m, length_m, spacing_m)
     corners = tshirt_corners(width_m, length_m)
-    front, back = (shirt_spans(corners, neck_depth_m=depth * length_m) for depth in (0.10, 0.03))
+    front, back = (
+        shirt_spans(corners, neckline(corners, depth * length_m)) for depth in (0.10, 0.03)
+    )
     return two_layers(front, back, spacing_m, layer_gap_m=layer_gap_m, seed=seed)
 
 
@@ -133,6 +139,7 @@ def two_layers(
     *,
     layer_gap_m: float = 0.004,
     open_front: bool = False,
+    hood: list[Span] | None = None,
     seed: int = 0,
 ) -> ClothMesh:
     """Make a garment of a front on a back that are sewn together at the seams of both outlines.
@@ -146,15 +153,14 @@ def two_layers(
         spacing_m: length of an edge [m].
         layer_gap_m: distance of the layers [m] away from the seams.
         open_front: whether the front of a shirt is cut along its middle.
+        hood: outline of the upper layer of a hood, which is sewn to the back; None: no hood.
         seed: seed for the rotation and shift of the lattice of each layer.
     """
     behind = triangulate(back, spacing_m, 2 * seed + 1)
-    if open_front:
-        ahead = _side_by_side([triangulate(one, spacing_m, 2 * seed) for one in cut_open(front)])
-    else:
-        ahead = triangulate(front, spacing_m, 2 * seed)
+    outlines = [*(cut_open(front) if open_front else [front]), *([hood] if hood else [])]
+    ahead = _side_by_side([triangulate(one, spacing_m, 2 * seed) for one in outlines])
     points, faces, side = _sewn_together(ahead, behind)
-    seams = [span.points for span in front if span.sewn]
+    seams = [span.points for span in [*front, *(hood or [])] if span.sewn]
     from_seam = np.min([distance_to_polyline(points, seam) for seam in seams], axis=0)
     gap = 0.5 * layer_gap_m * _rounded(from_seam / _SEAM_TAPER_M)
     width_m = float(np.ptp(points[:, 0]))
@@ -185,8 +191,11 @@ def shirt(
         InvalidConfigError: the outline crosses itself.
     """
     front = outline.spans(length_m, depth=outline.front_depth)
-    back = outline.spans(length_m, depth=outline.back_depth)
-    return sewn(front, back, vertex_count=vertex_count, open_front=open_front, seed=seed)
+    if outline.hood:
+        back, hood = outline.hooded_back(length_m), outline.hood_front(length_m)
+    else:
+        back, hood = outline.spans(length_m, depth=outline.back_depth), None
+    return sewn(front, back, vertex_count=vertex_count, open_front=open_front, hood=hood, seed=seed)
 
 
 def trousers(
@@ -210,11 +219,12 @@ def sewn(
     *,
     vertex_count: int = 1000,
     open_front: bool = False,
+    hood: list[Span] | None = None,
     seed: int = 0,
 ) -> ClothMesh:
     """Make a garment of two layers (`two_layers`) with about the desired number of vertices."""
     return with_vertices(
-        lambda edge_m: two_layers(front, back, edge_m, open_front=open_front, seed=seed),
+        lambda edge_m: two_layers(front, back, edge_m, open_front=open_front, hood=hood, seed=seed),
         vertex_count,
         _edge_for(vertex_count, front, layers=2),
     )
@@ -311,13 +321,20 @@ def _rounded(share: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " verti
 
 
 def _side_by_side(pieces: list[Piece]) -> Piece:
-    """Return several pieces of one layer as one piece without joining them."""
+    """Return several pieces of one layer as one piece, joined only where the same seam ends."""
     first = np.cumsum([0] + [len(piece.points) for piece in pieces[:-1]])
-    return Piece(
-        np.concatenate([piece.points for piece in pieces]),
-        np.concatenate([piece.faces + start for piece, start in zip(pieces, first, strict=True)]),
-        np.concatenate([piece.sewn for piece in pieces]),
+    points = np.concatenate([piece.points for piece in pieces])
+    faces = np.concatenate(
+        [piece.faces + start for piece, start in zip(pieces, first, strict=True)]
     )
+    sewn = np.concatenate([piece.sewn for piece in pieces])
+    # A neck's end belongs to the front and to the hood.
+    same = np.arange(len(points))
+    for one, other in cKDTree(points[sewn]).query_pairs(_SAME_M):
+        same[np.flatnonzero(sewn)[other]] = np.flatnonzero(sewn)[one]
+    kept = same == np.arange(len(points))
+    index = (np.cumsum(kept) - 1)[same].astype(np.int32)
+    return Piece(points[kept], index[faces], sewn[kept])
 
 
 def _sewn_together(

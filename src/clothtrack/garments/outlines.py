@@ -5,7 +5,7 @@ between front and back; the others are openings.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +37,8 @@ class ShirtOutline:
         cuff: width of the sleeve's end.
         neck: half the width of the neck.
         front_depth, back_depth: depth of the neckline.
+        hood: height of a hood that lies flat behind the neck; 0: there is none.
+        hood_width: half the width of the hood where it is widest, at least `neck`.
     """
 
     body: float = 0.74
@@ -50,12 +52,42 @@ class ShirtOutline:
     neck: float = 0.13
     front_depth: float = 0.10
     back_depth: float = 0.03
+    hood: float = 0.0
+    hood_width: float = 0.2
 
     def spans(self, length_m: float, *, depth: float) -> list[Span]:
         """Return the outline of one layer of a shirt of this length [m] with this neck depth.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
+        """
+        right = self._right(length_m)
+        return shirt_spans(right, neckline(right, depth * length_m))
+
+    def hooded_back(self, length_m: float) -> list[Span]:
+        """Return the outline [m] of the back, whose neckline is the seam of the hood."""
+        return shirt_spans(self._right(length_m), self._hood_seam(length_m))
+
+    def hood_front(self, length_m: float) -> list[Span]:
+        """Return the outline [m] of the upper layer of the hood, which is open below."""
+        seam = self._hood_seam(length_m)
+        return [seam, Span(seam.points[[-1, 0]])]
+
+    def _hood_seam(self, length_m: float) -> Span:
+        """Return the arc of an ellipse from the right end of the neck over the top to the left."""
+        neck, wide, high = np.array([self.neck, self.hood_width, self.hood]) * length_m
+        begins = np.arccos(min(neck / wide, 1.0))
+        radius = high / (1.0 + np.sin(begins))
+        turn = np.linspace(-begins, np.pi + begins, NECK_POINTS)
+        above = radius * (np.sin(begins) + np.sin(turn))
+        points = np.stack([wide * np.cos(turn), 0.5 * length_m + above], axis=1)
+        return Span(points, sewn=True)
+
+    def _right(self, length_m: float) -> Float[np.ndarray, "6 2"]:
+        """Return the right half [m], from the hem up to the neck.
+
+        Raises:
+            InvalidConfigError: it crosses itself.
         """
         top, half = 0.5 * length_m, 0.5 * self.body * length_m
         x, y = self.shoulder * half, top - self.slope * length_m
@@ -77,7 +109,7 @@ class ShirtOutline:
                 f"the outline of {self} crosses itself; give a shorter or a higher sleeve, or a "
                 "smaller cuff"
             )
-        return shirt_spans(corners, neck_depth_m=depth * length_m)
+        return corners
 
 
 def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> ShirtOutline:
@@ -124,6 +156,12 @@ _ROBE = {
 def draw_sweater(rng: np.random.Generator) -> ShirtOutline:
     """Draw random proportions of a sweater or cardigan: wide, narrow hem, low shoulders."""
     return _with_free_sleeves(lambda: _drawn(rng, _SWEATER))
+
+
+def with_hood(outline: ShirtOutline, rng: np.random.Generator) -> ShirtOutline:
+    """Draw a hood for an outline."""
+    wide = max(rng.uniform(0.16, 0.26), 1.05 * outline.neck)
+    return replace(outline, hood=rng.uniform(0.3, 0.5), hood_width=wide)
 
 
 def draw_robe(rng: np.random.Generator) -> ShirtOutline:
@@ -243,18 +281,27 @@ def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
     )
 
 
-def shirt_spans(right: Float[np.ndarray, "6 2"], *, neck_depth_m: float) -> list[Span]:
+def neckline(right: Float[np.ndarray, "6 2"], depth_m: float) -> Span:
+    """Return the open neckline of a shirt: half an ellipse of this depth [m].
+
+    Args:
+        right: right half of the shirt [m]; the neck ends at its last corner.
+        depth_m: depth of the neckline [m].
+    """
+    turn = np.linspace(0.0, np.pi, NECK_POINTS)
+    neck, top = right[-1]
+    return Span(np.stack([neck * np.cos(turn), top - depth_m * np.sin(turn)], axis=1))
+
+
+def shirt_spans(right: Float[np.ndarray, "6 2"], neck: Span) -> list[Span]:
     """Return the symmetric outline of one layer of a shirt.
 
     Args:
         right: its right half [m]: hem, armpit, lower and upper end of the cuff, shoulder, neck.
-        neck_depth_m: depth of the neckline [m].
+        neck: neckline, or seam of a hood, from the right end of the neck to the left one.
     """
-    turn = np.linspace(0.0, np.pi, NECK_POINTS)
-    (neck, top) = right[-1]
-    curve = np.stack([neck * np.cos(turn), top - neck_depth_m * np.sin(turn)], axis=1)
     up, down = _both_sides(right, cuff=2)
-    return [Span(np.stack([right[0] * (-1.0, 1.0), right[0]])), *up, Span(curve), *down]
+    return [Span(np.stack([right[0] * (-1.0, 1.0), right[0]])), *up, neck, *down]
 
 
 def _both_sides(

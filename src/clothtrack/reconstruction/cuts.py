@@ -19,6 +19,9 @@ _SHIRTS = {
     "wide T-shirt": ShirtOutline(),
     "narrow T-shirt": ShirtOutline(body=0.64, sleeve=0.2, sleeve_angle_rad=0.4),
     "sweater": ShirtOutline(body=0.8, sleeve=0.72, sleeve_angle_rad=0.75, cuff=0.14),
+    "hooded sweater": ShirtOutline(
+        body=0.8, sleeve=0.72, sleeve_angle_rad=0.75, cuff=0.14, hood=0.4, hood_width=0.2
+    ),
 }
 """Shirts that a search starts from."""
 

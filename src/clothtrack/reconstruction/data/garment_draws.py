@@ -6,7 +6,13 @@ from typing import get_args
 import numpy as np
 
 from clothtrack.garments.garment_meshes import ClothKind, garment, shirt, trousers
-from clothtrack.garments.outlines import draw_robe, draw_shirt, draw_sweater, draw_trousers
+from clothtrack.garments.outlines import (
+    draw_robe,
+    draw_shirt,
+    draw_sweater,
+    draw_trousers,
+    with_hood,
+)
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.parameters import ClothParameters
 
@@ -28,6 +34,7 @@ class GarmentRanges:
         shirt_length_m: length from the hem to the neck [m], log-uniform.
         long_sleeves: share of shirts with long sleeves (`garments.outlines.draw_shirt`).
         sweaters, robes: shares of shirts that are cut as a sweater, and as a robe.
+        hoods: share of sweaters with a hood.
         robe_length_m: length of a robe from the hem to the neck [m], log-uniform.
         open_shirts, open_sweaters, open_robes: shares that are open in front.
         trousers_length_m, shorts_length_m: length from the waist to the cuffs [m], log-uniform.
@@ -41,6 +48,7 @@ class GarmentRanges:
     long_sleeves: float = 0.35
     sweaters: float = 0.22
     robes: float = 0.1
+    hoods: float = 0.4
     robe_length_m: tuple[float, float] = (0.75, 1.35)
     open_shirts: float = 0.12
     open_sweaters: float = 0.35
@@ -103,6 +111,8 @@ def draw_garment(
         open_front = rng.random() < ranges.open_robes
     elif cut < ranges.robes + ranges.sweaters:
         length_m, outline = _log_even(ranges.shirt_length_m, rng), draw_sweater(rng)
+        if rng.random() < ranges.hoods:
+            outline = with_hood(outline, rng)
         open_front = rng.random() < ranges.open_sweaters
     else:
         length_m = _log_even(ranges.shirt_length_m, rng)
