@@ -209,8 +209,7 @@ class MeshDynamicsStage(Stage):
         return {"loss": torch.stack(losses).mean()}
 
     def measure(self, batch: WindowBatch) -> Mapping[str, Tensor]:
-        """Return the mean distance to the truth after the model's steps, and without motion
-        [mm]."""
+        """Return the mean distance to the truth, by the model and without motion [mm]."""
         errors, still = [], []
         for windows in batch.parts:
             last = windows.future[:, -1]

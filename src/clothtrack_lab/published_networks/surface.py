@@ -66,7 +66,7 @@ class FieldGrid:
 
     @property
     def nodes(self) -> Float[np.ndarray, "nodes 3"]:
-        """Return the nodes in the unit cube; z runs fastest."""
+        """Nodes in the unit cube; z runs fastest."""
         return self.to_unit(np.indices(self.shape).reshape(3, -1).T.astype(np.float64))
 
 

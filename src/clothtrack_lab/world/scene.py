@@ -57,7 +57,7 @@ class Scene:
 
     @property
     def table_points(self) -> Float[np.ndarray, "height width 3"]:
-        """Return the table point [m] on the line of sight of every pixel."""
+        """Table point [m] on the line of sight of every pixel."""
         points = self.camera.position + self._rays * self._table_depth[:, None]
         return points.reshape(self.camera.height, self.camera.width, 3)
 

@@ -58,7 +58,7 @@ class Tool:
 
     @property
     def tip_faces(self) -> Bool[np.ndarray, " faces"]:
-        """Return which triangles belong to the tip, from its end to the first change of taper."""
+        """Whether each triangle belongs to the tip, from its end to the first change of taper."""
         faces = np.zeros(2 * _SIDES * (len(self.radii_m) - 1) + _SIDES - 2, dtype=bool)
         faces[: 2 * _SIDES] = True
         faces[2 - _SIDES :] = True
