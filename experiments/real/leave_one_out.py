@@ -1,4 +1,4 @@
-"""Real napkins, some left out: what do labels of other fabrics teach, and of the same fabric?
+"""Leave-one-out on real napkins: learning from labels of other fabrics, or of the same fabric.
 
     python experiments leave_one_out --data DIR --json OUT
     python experiments leave_one_out --data DIR --json OUT --learn-from same_fabric
@@ -12,7 +12,8 @@ least, select the weights. What is learned from are the control's pictures, labe
 of the default tracker, and the default's and the control's together, as `table2_real` has them and
 keeps them.
 
-What is finished is written after every fold; a second call goes on. `--labels` takes any of them.
+Finished results are written after every fold, and a second call resumes. `--labels` takes any of
+them.
 """
 
 import argparse
@@ -49,7 +50,7 @@ MEASURES = (
 
 
 def fabric_of(name: str) -> str:
-    """The fabric of a sequence, which its takes share: "tan" of "lift_tan2"."""
+    """Return the fabric of a sequence, which its takes share: "tan" of "lift_tan2"."""
     return name.partition("_")[2].rstrip("0123456789")
 
 
@@ -58,7 +59,7 @@ Folds = dict[str, dict[str, list[Napkin]]]
 
 
 def other_fabrics(found: Sequence[Napkin]) -> Folds:
-    """One fold for each fabric: all sequences of the others are learned from.
+    """Return one fold for each fabric: all sequences of the others are learned from.
 
     Raises:
         InvalidConfigError: there is one fabric alone, or two names are of one sequence.
@@ -76,7 +77,7 @@ def other_fabrics(found: Sequence[Napkin]) -> Folds:
 
 
 def same_fabric(found: Sequence[Napkin]) -> Folds:
-    """One fold for each sequence: the others of its fabric are learned from.
+    """Return one fold for each sequence: the others of its fabric are learned from.
 
     Raises:
         InvalidConfigError: a fabric has one sequence alone, or two names are of one sequence.
@@ -104,7 +105,7 @@ FOLDS = {"other_fabrics": other_fabrics, "same_fabric": same_fabric}
 def rows_of(
     plan: Plan, parts: Mapping[str, Mapping[str, Sequence[Napkin]]], labels: Sequence[str]
 ) -> Iterator[list[Row]]:
-    """The pictures of all that is left out, one kind of label and one fold at a time."""
+    """Yield the pictures of all that is left out, one kind of label and one fold at a time."""
     for network, start in plan.starts.items():
         for name in (*labels, TRACKER):
             for left_out, splits in parts.items():
@@ -216,7 +217,7 @@ def _planned(options: argparse.Namespace) -> Plan:
 
 
 def _smoke(options: argparse.Namespace, temporary: Path) -> Plan:
-    """A published network that has learned nothing, in place of the token network."""
+    """Return a published network that has learned nothing, in place of the token network."""
     options.networks, options.training = ["published"], "finetune_short"
     options.settings, options.test = [], None
     return table2_real.smoke(options, temporary)

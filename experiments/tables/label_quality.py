@@ -1,4 +1,4 @@
-"""Label quality: what is observable, against the true error; fitted on dev, scored on test.
+"""Score label quality from observables against the true error; fitted on dev, scored on test.
 
     python experiments label_quality --bench OUT --rows OUT/experiments
     python experiments label_quality --bench OUT --rows DEV_ROWS TEST_ROWS --fit
@@ -63,7 +63,7 @@ class Judged:
 
 
 def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Judged]:
-    """The labels of a variant's runs in folders of rows, with their evidence.
+    """Return the labels of a variant's runs in folders of rows, with their evidence.
 
     Raises:
         InvalidResultError: there are no rows.
@@ -91,7 +91,7 @@ def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Ju
 
 
 def fitted(labels: Sequence[Judged], variant: str) -> QualityModel:
-    """The model of the labels of `dev`, with what one needs to make it again."""
+    """Return the model of the labels of `dev`, with what one needs to make it again."""
     own = [one for one in labels if one.row["split"] == FITTED_ON]
     if len({one.recording for one in own}) < LEAST_TRAJECTORIES:
         raise InvalidConfigError(
@@ -135,7 +135,7 @@ def cross_validated(
     *,
     shrinkage: float = SHRINKAGE,
 ) -> Float[np.ndarray, " labels"]:
-    """Expected error [m] of each label by a model that saw no label of its group.
+    """Return expected error [m] of each label by a model that saw no label of its group.
 
     Args:
         evidence: one per label.
@@ -227,7 +227,7 @@ def single_evidence(labels: Sequence[Judged], model: QualityModel) -> str:
 
 
 def kept_rows(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> list[Row]:
-    """One row per label: evidence, expected and true error."""
+    """Return one row per label: evidence, expected and true error."""
     keys = ("variant", "recording", "kind", "split", "run", "action", "frame", "error_all_mm")
     return [
         {
