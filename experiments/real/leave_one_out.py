@@ -4,13 +4,12 @@
     python experiments leave_one_out --data DIR --json OUT --learn-from same_fabric
 
 DIR has robot-lift-fold-clouds: ten lifts and folds of three fabrics. For each fabric, the shipped
-token network learns from all sequences of the others, and is judged on those of the fabric. With
-`same_fabric`, the protocol of the paper, it is judged on each sequence after it learned from the
-others of its fabric. The recipe was fixed before the first run: `finetune_short` as the package has
-it, evaluated every fourth epoch; three sequences in ten of those that are learned from, one at
-least, select the weights. What is learned from are the control's pictures, labels of open loop and
-of the default tracker, and the default's and the control's together, as `table2_real` has them and
-keeps them.
+token network learns from all sequences of the others, and is scored on those of the fabric. With
+`same_fabric`, the protocol of the paper, it is scored on each sequence after learning from the
+others of its fabric. The recipe was fixed before the first run: `finetune_short` of the package,
+evaluated every fourth epoch, with three in ten of the training sequences, at least one, for
+selecting the weights. The labels are the control's pictures, labels of open loop and of the default
+tracker, and the default's and the control's together, as made and stored by `table2_real`.
 
 Finished results are written after every fold, and a second call resumes. `--labels` takes any of
 them.

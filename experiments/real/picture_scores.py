@@ -41,7 +41,7 @@ def at_stickers(
 
 
 def moved_in(rectangle: Float[np.ndarray, "4 2"], inset: float) -> Float[np.ndarray, "4 2"]:
-    """Return corners moved inwards by `inset` along both of their sides.
+    """Return the corners of a rectangle, each moved inwards by `inset` along its angle bisector.
 
     They move at most to the middle of a side.
     """

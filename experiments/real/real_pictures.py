@@ -1,10 +1,10 @@
 """Score reconstructions of single real pictures: garments folded by hand, crumpled cloths.
 
 Claim judged: the network knows real cloth. No true mesh is known. A garment is judged by its
-silhouette and by its visible surface against the measured one (two-way Chamfer distance, summed).
-A cloth with stickers on its corners is judged by them too: each sticker that can be seen is given
-to one corner of the mesh, where a sticker's middle lies, and so that the distances are least.
-They are in parts of the cloth's longer side, over all stickers. The control asks no network: the
+silhouette and by its visible surface against the measured one (two-way Chamfer distance, summed). A
+cloth with stickers on its corners is also judged by them. Each visible sticker is assigned to one
+corner of the mesh, at the position of a sticker's middle, with the least distances. The distances
+are in parts of the cloth's longer side, over all stickers. The control uses no network but the
 corners of the least rectangle around the silhouette. A picture without a mesh has no overlap, an
 infinite Chamfer distance, and all its corners in the middle of its silhouette.
 
@@ -14,9 +14,9 @@ A mesh is right when silhouettes overlap by 0.93, the Chamfer distance is at mos
 sticker is near its corner. That says nothing of hidden layers. The word of the verdict is printed
 beside it; it knows no silhouette of the color picture and no sticker.
 
-DIR has `garments`, `stickers` or both (`real/topdown.py` has the layout). A row is written when it
-is known; a second call with the same weights, commit and data goes on where the first one stopped.
-`--smoke` asks an untrained network about two drawn pictures: its figures mean nothing.
+DIR has `garments`, `stickers` or both (`real/topdown.py` has the layout). Each row is written when
+it is finished; a second call with the same weights, commit and data resumes. `--smoke` asks an
+untrained network about two drawn pictures: its figures mean nothing.
 """
 
 import argparse

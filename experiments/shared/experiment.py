@@ -7,8 +7,8 @@
     --vertices N      first mesh resampled to about N vertices on the template's own surface
     --smoke           one small towel, one action, a short calibration: does everything run?
 
-Runs are kept by the hash of their settings: experiments share them, and a second call goes on where
-the first one stopped. What is printed is what `tables.py` rebuilds from the rows.
+Runs are stored by the hash of their settings, so experiments share them, and a second call resumes.
+The printed tables are those that `tables.py` rebuilds from the rows.
 """
 
 import argparse

@@ -73,7 +73,7 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
 
 
 def _fill(verb: object, stage: Path, out: Path) -> None:
-    """What is there before: a file of somebody else, and what the verb changes."""
+    """Write the files present before the run: a foreign file, and what the verb changes."""
     (out / MINE).write_text("mine")
     if verb.copied is not None:
         shutil.copytree(stage / verb.copied[0], out / verb.copied[1])
@@ -106,7 +106,7 @@ def _size(box: Path, verb: object, stage: Path) -> int:
 
 @contextmanager
 def mounted(folder: Path, size: int) -> Iterator[bool]:
-    """Yield a disk of its own at a folder; False where nobody lets us mount one."""
+    """Yield whether a separate disk could be mounted at a folder."""
     try:
         _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
     except (OSError, subprocess.CalledProcessError):

@@ -7,8 +7,8 @@
                         of each garment's trajectories is, or the last --held-out N
     --smoke             small towels, a tiny network made on the spot: does everything run?
 
-Tracked runs and rows are kept by the hash of their settings, and shared with the experiments over
-the benchmark. What is printed is what `tables.py` rebuilds from the rows.
+Tracked runs and rows are stored by the hash of their settings, and shared with the experiments over
+the benchmark. The printed tables are those that `tables.py` rebuilds from the rows.
 """
 
 import argparse

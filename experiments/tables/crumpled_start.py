@@ -72,11 +72,11 @@ def crumpled(recording: Recording) -> Recording:
 def errors_mm(
     mesh: ClothMesh, ends: Sequence[tuple[int, Float[np.ndarray, "vertices 3"]]], truth: Truth
 ) -> list[float]:
-    """Return the mean vertex error [mm] at frames, under the labeling that fits best in their mean.
+    """Return the mean vertex error [mm] at frames, under the symmetry with the least mean.
 
     Args:
-        mesh: what was tracked, canonical coordinates filled.
-        ends: frame of the truth, and vertices [m] then.
+        mesh: tracked mesh with canonical coordinates.
+        ends: frames of the truth, with the vertices [m] at each.
         truth: with canonical coordinates.
     """
     canonical = np.asarray(mesh.canonical, np.float64)

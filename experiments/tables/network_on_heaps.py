@@ -1,10 +1,10 @@
 """Measure networks on the pictures of flattening: the error of the mesh that planning starts from.
 
-Every few pictures that the episodes of `flattening.py` took in the simulated world, whoever chose
-their actions, become a mesh by each of the networks, fine-tuned to the picture as in an episode,
-and are compared with the true cloth. The benchmark has folds of lying cloth; these pictures show
-heaps, before and after pulls. Claim judged: a network trained on cloth being pulled apart has a
-smaller error there.
+Each network reconstructs every few pictures that the episodes of `flattening.py` took in the
+simulated world, for any policy. The meshes are fine-tuned to the picture as in an episode and
+compared with the true cloth. The benchmark has folds of lying cloth; these pictures show heaps,
+before and after pulls. Claim judged: a network trained on cloth being pulled apart has a smaller
+error there.
 
     python experiments network_on_heaps --out OUT --kind tshirt --weights FILE FILE --every 4
 

@@ -11,8 +11,8 @@ right (`harmless`) in one that is right and not trusted.
     python experiments reliability --out OUT --only wrong harmless --data DIR
     python experiments reliability --out OUT --case fuzz:1234     one case again, alone
 
-Cases that are done are kept in OUT/KIND.jsonl: a second call goes on where the first stopped. A
-case depends on its number and on `--seed` alone. `--smoke` takes a few cases of each kind.
+Finished cases are kept in OUT/KIND.jsonl, and a second call resumes. A case depends only on its
+number and on `--seed`. `--smoke` takes a few cases of each kind.
 """
 
 import argparse
