@@ -1,8 +1,9 @@
-"""Test-time optimization against the natural implementation: torch and a k-d tree per iteration.
+"""Speed of test-time optimization against a plain implementation in torch with a k-d tree.
 
-Both minimize the same objective from the same start, in the same run, with one thread; CPU times,
-medians. Run with `OMP_NUM_THREADS=1`. A ratio above 1 says how many times faster clothtrack is; a
-gap says by how much its final objective lies above the peer's (negative: below).
+The peer builds a new k-d tree in every iteration. Both minimize the same objective from the same
+start, in the same run, with one thread. Times are medians of CPU time. Run with
+`OMP_NUM_THREADS=1`. The ratio is how many times faster clothtrack is; the gap is how far its final
+objective lies above the peer's (negative: below).
 
     python benchmarks/bench_alignment.py --json alignment.json [--quick]
 """
@@ -38,7 +39,7 @@ SIZES = {"1,000": (33, 0.32, 2000), "1,500": (39, 0.38, 1700), "4,000": (64, 0.3
 def folded_cloth(
     count: int, size_m: float, points: int
 ) -> tuple[ClothMesh, np.ndarray, np.ndarray, np.ndarray]:
-    """A square cloth folded once, and its cloud after a slightly different fold and a shift."""
+    """Return a folded square cloth, and its cloud after a slightly different fold and shift."""
     side = np.linspace(-size_m / 2, size_m / 2, count)
     x, y = np.meshgrid(side, side, indexing="ij")
     flat = np.stack([x.ravel(), y.ravel(), np.zeros(count**2)], 1)
@@ -78,7 +79,7 @@ def peer(
     visible: np.ndarray,
     config: AlignmentConfig,
 ) -> float:
-    """The same objective with torch's autograd and Adam; a new k-d tree in every iteration."""
+    """Minimize the same objective with torch's autograd and Adam, with a k-d tree per iteration."""
     start, points = torch.tensor(positions), torch.tensor(cloud)
     first, second = torch.tensor(mesh.edges.T.astype(np.int64))
     rest = torch.tensor(mesh.edge_lengths)
@@ -113,7 +114,7 @@ def peer(
 
 
 def timed(work: Callable[[], float], repeats: int) -> tuple[float, float]:
-    """Median CPU time [s] of some repeats, and the last result."""
+    """Return the median CPU time [s] of some repeats, and the last result."""
     times = []
     for _ in range(repeats):
         start = time.process_time()
@@ -123,7 +124,7 @@ def timed(work: Callable[[], float], repeats: int) -> tuple[float, float]:
 
 
 def compare(size: str, objective: str, *, repeats: int) -> dict[str, object]:
-    """One row: peer, Adam and icp on one problem."""
+    """Return one row: peer, Adam and icp on one problem."""
     config = OBJECTIVES[objective]
     mesh, positions, cloud, visible = folded_cloth(*SIZES[size])
     solvers = {

@@ -1,10 +1,10 @@
-"""What it costs to find a cloth's parameters, and how good the result is, by method.
+"""Cost and quality of cloth parameter calibration, by method.
 
-One action, the fold of a two-layer T-shirt of staged_fold.py: every method searches the same axes
-from the same start, with clouds from the pictures on disk. A roll-out counts by the share of the
-action that it runs. CPU time of one calibration, in which observing the scored frames is included.
-The score is the tracker's: two-way masked Chamfer distance [m^2] of the open-loop roll-out. The
-cloth that was filmed is another triangulation, so no candidate scores zero.
+There is one action, the fold of a two-layer T-shirt from staged_fold.py. Every method searches the
+same axes from the same start, with clouds from the pictures on disk. A roll-out counts by the share
+of the action that it simulates. The CPU time is that of one calibration, including observation of
+the scored frames. The score is the tracker's: the two-way masked Chamfer distance [m^2] of the
+open-loop roll-out. The recorded cloth has another triangulation, so no candidate scores zero.
 
     python benchmarks/bench_calibration.py --json out/bench_calibration.json [--quick]
 
@@ -40,7 +40,7 @@ SMALL_AXES: Mapping[str, tuple[float, ...]] = {
 def searched(
     recording: Recording, vertex_count: int, method: str, axes: Mapping[str, tuple[float, ...]]
 ) -> dict[str, object]:
-    """One row: one calibration of one action, kernels compiled before."""
+    """Return one row: one calibration of one action, kernels compiled before."""
     config = RunConfig(search=SearchConfig(method=method, axes=axes))
     eyes = TimedEyes(recording)
     components = Components(recording, shirt(vertex_count), config, eyes)
@@ -62,7 +62,7 @@ def searched(
 
 
 def table(rows: list[dict]) -> str:
-    """The rows as text, costs and results beside those of the grid."""
+    """Return the rows as text, with costs and results next to those of the grid."""
     grids = {row["vertices"]: row for row in rows if row["method"] == "grid"}
     lines = []
     for row in rows:
@@ -78,7 +78,7 @@ def table(rows: list[dict]) -> str:
 
 
 def main() -> None:
-    """Film once, search with every method at every size, write the table."""
+    """Record once, search with every method at every size, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, required=True, help="where the result goes")
     parser.add_argument("--quick", action="store_true", help="1,000 vertices, 27 combinations")

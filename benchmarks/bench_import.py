@@ -1,12 +1,12 @@
-"""How fast recordings are imported, against the least that anybody must do: code the pictures.
+"""Speed of imports against the minimal work of decoding and encoding the pictures.
 
-A film of smooth surfaces with a sensor's noise, 640 x 480, is written as each kind of source and
-imported. The peer decodes and encodes the same pictures with OpenCV and does nothing else: at its
-usual PNG settings, and at ours. CPU times of all threads together, so that other work on the
-machine counts little. A ratio above 1 says how many times faster the import is than the peer.
-Frames per second are for two processors that do nothing else; reading and writing, which only the
-first thread does, have their own column: two processors are busy as long as it is below one half.
-Memory is the peak above that at the start, for a quarter of the frames and for all.
+A video of smooth surfaces with a sensor's noise, 640 x 480, is written as each kind of source and
+imported. The peer only decodes and encodes the same pictures with OpenCV, at its usual PNG settings
+and at ours. CPU times are summed over all threads, so that other work on the machine has little
+effect. The ratio is how many times faster the import is than the peer. Frames per second are for
+two otherwise idle processors. Reading and writing, which only the first thread does, have their own
+column; two processors stay busy as long as it is below one half. Memory is the peak above that at
+the start, for a quarter of the frames and for all.
 
     python benchmarks/bench_import.py --json import.json [--quick] [--only NAME ...]
 """
@@ -49,7 +49,7 @@ PEER_FRAMES = 100
 
 
 def pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Depth [mm] and color of a waving surface."""
+    """Return the depth [mm] and color of a waving surface."""
     rng = np.random.default_rng(0)
     x, y = np.linspace(0, 1, WIDTH), np.linspace(0, 1, HEIGHT)[:, None]
     depths, colors = [], []
@@ -65,7 +65,7 @@ def pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def header(time_ns: int, store: Typestore) -> object:
-    """A stamped header."""
+    """Return a stamped header."""
     stamp = store.types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
     number = (0,) if store is ROS1 else ()
     return store.types["std_msgs/msg/Header"](*number, stamp, "camera")
@@ -84,7 +84,7 @@ def info(time_ns: int, focal: float, store: Typestore) -> object:
 def entries(
     frames: int, store: Typestore, *, packed: bool = False, registered: bool = True
 ) -> Iterator[tuple[str, int, object]]:
-    """The messages of a camera."""
+    """Yield the messages of a camera."""
     image = store.types["sensor_msgs/msg/Image"]
     compressed = store.types["sensor_msgs/msg/CompressedImage"]
     depths, colors = pictures()
@@ -113,14 +113,14 @@ def entries(
 
 
 def jpeg(color: np.ndarray) -> np.ndarray:
-    """A JPEG of usual quality."""
+    """Return a JPEG of usual quality."""
     return cv2.imencode(".jpg", color[..., ::-1])[1].ravel()
 
 
 def write_bag(
     path: Path, frames: int, *, storage: str = "mcap", packed: bool = False, registered: bool = True
 ) -> Path:
-    """A bag of ROS 2 ("mcap" or "sqlite3") or ROS 1 ("bag")."""
+    """Write a bag of ROS 2 ("mcap" or "sqlite3") or ROS 1 ("bag")."""
     if storage == "bag":
         store, pack = ROS1, ROS1.serialize_ros1
         writer = rosbag1.Writer(path)
@@ -139,7 +139,7 @@ def write_bag(
 
 
 def makers() -> ModuleType:
-    """What writes recordings in the tests."""
+    """Return the module of the tests that writes recordings."""
     spec = importlib.util.spec_from_file_location("import_makers", MAKERS)
     assert spec is not None
     assert spec.loader is not None
@@ -150,7 +150,7 @@ def makers() -> ModuleType:
 
 
 def write_kinect(path: Path, frames: int) -> Path:
-    """A Matroska file: the head of the tests' maker, then block after block."""
+    """Write a Matroska file: the header from the tests' writer, followed by blocks."""
     make = makers()
     depths, colors = pictures()
     none = slice(0, 0)
@@ -167,7 +167,7 @@ def write_kinect(path: Path, frames: int) -> Path:
 
 
 def write_pngs(path: Path, frames: int) -> Path:
-    """A folder in Open3D's style."""
+    """Write a folder in Open3D's style."""
     depths, colors = pictures()
     encoded = {"depth": list(map(encode_png, depths)), "color": list(map(encode_png, colors))}
     for name, files in encoded.items():
@@ -182,7 +182,7 @@ def write_pngs(path: Path, frames: int) -> Path:
 
 
 def coder(depth_form: str, color_form: str, *, usual: bool) -> Callable[[], None]:
-    """The peer: decode (what the source has packed) and encode pictures, nothing else."""
+    """Return the peer, which only decodes (what the source has packed) and encodes pictures."""
     depths, colors = pictures()
     pack: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "raw": lambda one: one,
@@ -210,20 +210,20 @@ def coder(depth_form: str, color_form: str, *, usual: bool) -> Callable[[], None
 
 
 def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """CPU time of all threads, and of the first one [s]."""
+    """Return the CPU time of all threads and of the first one [s]."""
     start, own = time.process_time(), time.thread_time()
     work()
     return time.process_time() - start, time.thread_time() - own
 
 
 def resident_bytes() -> int:
-    """Memory of this process."""
+    """Return memory of this process."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def peak_bytes(work: Callable[[], object]) -> int:
-    """Peak memory above that at the start, sampled."""
+    """Return the peak memory above that at the start, sampled."""
     start, peak, done = resident_bytes(), [0], threading.Event()
 
     def watch() -> None:
@@ -259,7 +259,7 @@ KINDS = {
 
 
 def measure(name: str, frames: int, folder: Path) -> dict[str, object]:
-    """One row: the import against the peer."""
+    """Return one row: the import against the peer."""
     kind, out = KINDS[name], folder / "out"
     lens = folder / "lens.json"
     values = {"width": WIDTH, "height": HEIGHT, "fx": FOCAL, "fy": FOCAL, "cx": 319.5, "cy": 239.5}

@@ -1,7 +1,7 @@
-"""How far behind the camera the live mesh is, and what a picture costs.
+"""Latency of the live mesh and cost per picture.
 
-The fold of staged_fold.py, filmed in 640 x 480 at 30 pictures a second (10 for 4,000 vertices), is
-in memory and goes through `ct.LiveTracker`:
+The fold of staged_fold.py, recorded in 640 x 480 at 30 pictures per second (10 for 4,000 vertices),
+is in memory and goes through `ct.LiveTracker`:
 
 - each picture as soon as the one before is done: wall time of `update`, its CPU time in all threads
   (what one core needs), and the CPU time of its longest chain (what two idle cores need: the next
@@ -11,16 +11,16 @@ in memory and goes through `ct.LiveTracker`:
   core would drop;
 - at the speed of the camera through `ct.LiveStream`, on the wall's clock.
 
-With `--recordings DIR --truth DIR` each recording there is tracked offline and live, with what a
-core drops, without a search and with it; the true errors of their labels are compared. Run with
-`OMP_NUM_THREADS=1`.
+With `--recordings DIR --truth DIR` each recording there is tracked offline and live, with the
+pictures that one core drops, without and with a search, and the true errors of the labels are
+compared. Run with `OMP_NUM_THREADS=1`.
 
     python benchmarks/bench_live.py --json out/bench_live.json [--quick]
     python benchmarks/bench_live.py --json FILE --recordings out/world/recordings \
         --truth out/world/truth
 
-`--soak MINUTES` tracks nothing else than so many minutes of film, as fast as it can: the shipped
-recording forwards and backwards, again and again, and says how much memory the process has.
+`--soak MINUTES` only tracks this many minutes of video as fast as it can (the shipped recording
+forwards and backwards, repeatedly), and prints the memory of the process.
 
     python benchmarks/bench_live.py --json out/soak.json --soak 60
 """
@@ -50,7 +50,7 @@ PARTS = ("observe", "predict", "align", "correct")
 
 @dataclass(frozen=True)
 class Film:
-    """A recording in memory, and when each picture comes [s]."""
+    """A recording in memory, with the arrival time of each picture [s]."""
 
     recording: ct.Recording
     pictures: tuple[dict[str, Any], ...]
@@ -74,14 +74,14 @@ class Film:
         )
 
     def tracker(self, settings: Sequence[str] = QUICK) -> ct.LiveTracker:
-        """A tracker for its cloth."""
+        """Return a tracker for its cloth."""
         recording = self.recording
         return ct.LiveTracker(
             recording.cloth, recording.cameras[0], table=recording.table, settings=settings
         )
 
     def turns(self, tracker: Any, index: int) -> None:
-        """Let actions begin and end where the recording says so."""
+        """Begin and end actions as in the recording."""
         for action in self.recording.actions:
             if action.last_frame == index:
                 tracker.end_action()
@@ -91,7 +91,7 @@ class Film:
 
 @dataclass
 class Cost:
-    """What one picture took [s]."""
+    """The cost of one picture [s]."""
 
     wall_s: float
     cpu_s: float
@@ -100,7 +100,7 @@ class Cost:
 
 
 def served(tracker: ct.LiveTracker, picture: dict[str, Any]) -> Cost:
-    """Serve one picture, and say what it took."""
+    """Process one picture and return its cost."""
     wall, cpu, own = time.perf_counter(), time.process_time(), time.thread_time()
     state = tracker.update(**picture)
     own_s = time.thread_time() - own
@@ -111,10 +111,10 @@ def served(tracker: ct.LiveTracker, picture: dict[str, Any]) -> Cost:
 
 
 def back_to_back(film: Film) -> tuple[list[Cost], float, ct.Run]:
-    """Serve all pictures, each as soon as the one before is done.
+    """Process all pictures, each as soon as the one before is done.
 
     Returns:
-        What each cost, CPU time of the last final alignment [s], and the run.
+        The cost of each, the CPU time of the last final alignment [s], and the run.
     """
     tracker, costs = film.tracker(), []
     for index, picture in enumerate(film.pictures):
@@ -126,12 +126,13 @@ def back_to_back(film: Film) -> tuple[list[Cost], float, ct.Run]:
 
 
 def on_a_core(film: Film, settings: Sequence[str] = QUICK) -> tuple[list[float], int, ct.Run]:
-    """Serve at the camera's speed on a clock of CPU time; the newest picture wins.
+    """Process pictures at the camera's speed on a clock of CPU time, always the newest one.
 
-    A search is made by another core, and waited for at the end.
+    A search runs on another core and is awaited at the end.
 
     Returns:
-        Latencies of all served pictures but the first [s], dropped pictures, and the run.
+        The latencies of all processed pictures but the first [s], the number of dropped pictures,
+        and the run.
     """
     tracker, latencies, free_s = film.tracker(settings), [], 0.0
     turns: list[int] = []
@@ -153,13 +154,13 @@ def on_a_core(film: Film, settings: Sequence[str] = QUICK) -> tuple[list[float],
 
 
 def _arrivals(film: Film) -> Iterator[tuple[int, float, float]]:
-    """Number and time of every picture, and the time of the next one [s]."""
+    """Yield the number and time of every picture, and the time of the next one [s]."""
     times = [picture["time_s"] for picture in film.pictures]
     yield from zip(range(len(times)), times, [*times[1:], np.inf], strict=True)
 
 
 def on_the_wall(film: Film) -> dict[str, Any]:
-    """Play at the camera's speed through a stream, and say how late its states were."""
+    """Play at the camera's speed through a stream, and return the delays of its states."""
     states: list[ct.LiveState] = []
     tracker = film.tracker()
     with ct.LiveStream(tracker, states.append) as stream:
@@ -179,7 +180,7 @@ def _spread(seconds: list[float]) -> dict[str, float]:
 
 
 def case(vertex_count: int, rate: float, folder: Path) -> dict[str, Any]:
-    """One row: the fold with so many vertices at so many pictures a second."""
+    """Return one row: the fold with these numbers of vertices and pictures per second."""
     filmed = staged(folder, rate)
     mesh = shirt(vertex_count)
     cloth = replace(filmed.cloth, template=mesh)
@@ -208,7 +209,7 @@ def case(vertex_count: int, rate: float, folder: Path) -> dict[str, Any]:
 
 
 def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
-    """True errors of the labels, offline and live on one core, without a search and with it."""
+    """Return true errors of the labels, offline and live on one core, without and with a search."""
     rows = []
     for folder in sorted(path.parent for path in recordings.glob("*/recording.json")):
         film = Film.of(ct.read_recording(folder))
@@ -242,13 +243,13 @@ def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
 
 
 def _labels_mm(evaluation: Any) -> list[float]:
-    """The mean vertex error of each label [mm]."""
+    """Return the mean vertex error of each label [mm]."""
     after = [row for row in evaluation.rows if row.stage == "after_final_alignment"]
     return [row.vertex_error_mm["all"].mean for row in after]
 
 
 def soak(minutes: float) -> dict[str, Any]:
-    """Memory of the process [MB] against pictures, over so many minutes of film."""
+    """Return the memory of the process [MB] against pictures, over minutes of video."""
     recording = ct.read_recording(ct.shipped_recording())
     film = Film.of(recording)
     step_s = film.pictures[1]["time_s"] - film.pictures[0]["time_s"]
@@ -281,21 +282,21 @@ def _closed_mb(tracker: ct.LiveTracker) -> float:
 
 
 def _resident_mb() -> float:
-    """What of the process is in memory now, without what is mapped from files."""
+    """Return the current memory of the process [MB], without memory mapped from files."""
     gc.collect()
     words = Path("/proc/self/status").read_text(encoding="ascii").split()
     return int(words[words.index("RssAnon:") + 1]) / 1024.0
 
 
 def _slope(rows: list[dict[str, float]]) -> float:
-    """Growth over the second half, by least squares [bytes per picture]."""
+    """Return the growth over the second half, by least squares [bytes per picture]."""
     half = rows[len(rows) // 2 :]
     x, y = (np.array([row[name] for row in half]) for name in ("pictures", "resident_mb"))
     return float(np.polyfit(x, y, 1)[0] * 2**20)
 
 
 def table(rows: list[dict[str, Any]], compared: list[dict[str, Any]]) -> str:
-    """The rows as text."""
+    """Return the rows as text."""
     lines = ["[ms] median / 95 %, while the picker carries the cloth"]
     for row in rows:
         times = {name: row[name] for name in ("wall", "one_core", "two_cores")} | row["parts"]
@@ -328,7 +329,7 @@ def _cell(spread: dict[str, float]) -> str:
 
 
 def main() -> None:
-    """Film, track live, compare, write the table."""
+    """Record, track live, compare and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, required=True, help="where the result goes")
     parser.add_argument("--quick", action="store_true", help="1,000 vertices alone")

@@ -1,10 +1,10 @@
-"""What a trajectory costs by its vertices, frames and candidates, and what a million of them cost.
+"""Cost of a trajectory by vertices, frames and candidates, and of a million trajectories.
 
 The T-shirt of staged_fold.py is tracked at several numbers of vertices: in default mode without
-calibration, with half of its frames, and with candidates. CPU time of the process
-(`time.process_time`), after a run that compiles; memory is the highest of the process; bytes and
-files are those of the saved trajectory. Then a folder with many made-up results is looked at as the
-start of a run does: for leftovers.
+calibration, with half of its frames, and with candidates. CPU time is that of the process
+(`time.process_time`), after a run that compiles. Memory is the peak of the process. Bytes and files
+are those of the saved trajectory. Then a folder with many synthetic results is searched for
+leftovers, as at the start of a run.
 
     python benchmarks/bench_scaling.py --json out/bench_scaling.json [--quick]
 """
@@ -38,13 +38,13 @@ def configured(*, candidates: bool) -> RunConfig:
 
 
 def shortened(recording: Recording, steps: int) -> Recording:
-    """The first steps of a recording with one action."""
+    """Return the first steps of a recording with one action."""
     action = replace(recording.actions[0], last_frame=steps)
     return replace(recording, frames=recording.frames[: steps + 1], actions=(action,))
 
 
 def row(recording: Recording, vertex_count: int, *, candidates: bool, folder: Path) -> dict:
-    """One trajectory: CPU seconds, memory, bytes and files."""
+    """Return one row for a trajectory: CPU seconds, memory, bytes and files."""
     mesh = shirt(vertex_count)
     start = time.process_time()
     result = Tracker(
@@ -69,7 +69,7 @@ def row(recording: Recording, vertex_count: int, *, candidates: bool, folder: Pa
 
 
 def fitted(rows: list[dict]) -> dict[str, float]:
-    """CPU seconds = frames (per frame + vertices per vertex) (1 + candidates share)."""
+    """Fit CPU seconds = frames (per frame + vertices per vertex) (1 + candidates share)."""
     plain = [one for one in rows if not one["candidates"]]
     searched = [one for one in rows if one["candidates"]]
     frames = np.array([one["frames"] for one in plain], dtype=float)
@@ -90,7 +90,7 @@ def fitted(rows: list[dict]) -> dict[str, float]:
 
 
 def of_many(count: int, folder: Path) -> dict:
-    """What a folder of so many results takes: to be looked through for leftovers, and listed."""
+    """Return the cost of searching a folder of `count` results for leftovers and listing it."""
     out = folder / f"items_{count}"
     out.mkdir()
     results = [out / f"towel_{number:07d}.zarr" for number in range(count)]
@@ -104,14 +104,14 @@ def of_many(count: int, folder: Path) -> dict:
 
 
 def timed(run: Callable[[], object]) -> float:
-    """CPU seconds."""
+    """Return the CPU time [s]."""
     start = time.process_time()
     run()
     return time.process_time() - start
 
 
 def table(rows: list[dict], model: dict[str, float], many: list[dict]) -> str:
-    """The figures as text."""
+    """Return the figures as text."""
     lines = ["vertices frames candidates   CPU s  save s  peak MB    bytes  files"]
     lines += [
         f"{one['vertices']:8d} {one['frames']:6d} {one['candidates']:10.1f} {one['cpu_s']:7.2f} "
@@ -124,7 +124,7 @@ def table(rows: list[dict], model: dict[str, float], many: list[dict]) -> str:
 
 
 def main() -> None:
-    """Film once, track at every size, ask about many items, write the table."""
+    """Record once, track at every size, measure many items and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, required=True, help="where the result goes")
     parser.add_argument("--quick", action="store_true", help="two sizes, a thousand items")

@@ -1,15 +1,15 @@
-"""Speed of the cloth solver beside its peers: CPU time per 10 ms of simulated time.
+"""Speed of the cloth solver and its peers: CPU time per 10 ms of simulated time.
 
-A two-layer T-shirt lies on a table, its layers in contact from the first step on; one vertex of
-the front is lifted. All engines run in this process, one after the other, so that their ratios hold
-on any machine, however busy. CPU time, not wall time: the sum over all threads.
+A two-layer T-shirt lies on a table, with its layers in contact from the first step on, and one
+vertex of the front is lifted. All engines run in this process, one after the other, so that their
+ratios are valid on a busy machine too. CPU time is the sum over all threads, not wall time.
 
     python benchmarks/bench_solver.py --json out/bench_solver.json [--quick]
 
-In the result, `worst_ratio` is the CPU time of the *fastest* peer over ours, at
-the size where it is smallest. `layers_mm` and `edge_strain` tell whether an engine still simulates
-a cloth: the median distance from a front vertex to the back, before and after, and the mean
-relative change of edge length.
+In the result, `worst_ratio` is the CPU time of the *fastest* peer over ours, at the size where it
+is smallest. `layers_mm` and `edge_strain` show whether an engine still simulates a cloth. They are
+the median distance from a front vertex to the back, before and after, and the mean relative change
+of edge length.
 """
 
 import argparse
@@ -35,7 +35,7 @@ PACKAGES = ("numpy", "warp-lang", "mujoco-core", "newton")
 
 
 def shirt(vertex_count: int) -> ClothMesh:
-    """A T-shirt of about so many vertices, flat, 2 mm above the table, layers 3 mm apart."""
+    """Return a T-shirt of about so many vertices, flat, 2 mm above the table, layers 3 mm apart."""
     spacing = float(np.median(garment("tshirt", vertex_count=vertex_count).edge_lengths))
     flat = tshirt(spacing_m=spacing, layer_gap_m=LAYER_GAP_M)
     lift = 0.002 - flat.vertices[:, 2].min()
@@ -43,7 +43,7 @@ def shirt(vertex_count: int) -> ClothMesh:
 
 
 def layer_distance_mm(mesh: ClothMesh, positions: np.ndarray) -> float:
-    """Median distance [mm] from a vertex of the front to the nearest of the back."""
+    """Return the median distance [mm] from a vertex of the front to the nearest of the back."""
     side = mesh.canonical[:, 2]
     deep = 0.5 * np.abs(side).max()
     front, back = positions[side > deep], positions[side < -deep]
@@ -51,7 +51,7 @@ def layer_distance_mm(mesh: ClothMesh, positions: np.ndarray) -> float:
 
 
 def edge_strain(mesh: ClothMesh, positions: np.ndarray) -> float:
-    """Mean absolute relative change of edge length."""
+    """Return the mean absolute relative change of edge length."""
     ends = positions[mesh.edges]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     return float(np.abs(lengths / mesh.edge_lengths - 1.0).mean())
@@ -60,7 +60,7 @@ def edge_strain(mesh: ClothMesh, positions: np.ndarray) -> float:
 def measure(
     build: Callable[[ClothMesh, int], Engine], mesh: ClothMesh, *, warm_up: int, steps: int
 ) -> dict[str, float]:
-    """CPU time per 10 ms [ms], median and mean over the measured steps, and what became of it."""
+    """Return CPU time per 10 ms [ms], median and mean over steps, and the final state."""
     held = int(np.argmin(np.linalg.norm(mesh.canonical - mesh.canonical.max(axis=0) / 2, axis=1)))
     engine = build(mesh, held)
     place = np.array(mesh.vertices[held], dtype=np.float64)
@@ -85,7 +85,7 @@ def measure(
 
 
 def bench(vertex_counts: list[int], *, warm_up: int, steps: int) -> dict[str, object]:
-    """All engines at all sizes; a peer that cannot run is skipped with its reason."""
+    """Measure all engines at all sizes; a peer that cannot run is skipped with its reason."""
     cases: list[dict[str, object]] = []
     skipped: dict[str, str] = {}
     worst = np.inf
@@ -119,7 +119,7 @@ def bench(vertex_counts: list[int], *, warm_up: int, steps: int) -> dict[str, ob
 
 
 def table(result: dict) -> str:
-    """The cases as text."""
+    """Return the cases as text."""
     names = list(PEERS)
     lines = [f"{'vertices':>8} {'ours':>8} " + " ".join(f"{n:>18}" for n in names)]
     for case in result["cases"]:
@@ -135,7 +135,7 @@ def table(result: dict) -> str:
 
 
 def tell(text: str) -> None:
-    """Say on standard error what is going on."""
+    """Print progress on standard error."""
     sys.stderr.write(text + "\n")
 
 

@@ -1,10 +1,11 @@
-"""How long a whole pick-and-place takes to track, and what takes it.
+"""Tracking time of a whole pick-and-place, by part.
 
 A 42-step fold of a two-layer T-shirt (2.1 s at 20 Hz; see staged_fold.py) goes through the same
-`Tracker` as any recording: default mode, no calibration, clouds from the pictures on disk. CPU
-time of the process, median over repeats, split into predict (dynamics), observe (read, segment,
-thin), align (visibility and test-time optimization), correct (dynamics with the correction) and the
-rest (first state, final alignment, visibility of the result). Run with `OMP_NUM_THREADS=1`.
+`Tracker` as any recording, in default mode without calibration, with clouds from the pictures on
+disk. The CPU time of the process is the median over repeats, split into predict (dynamics), observe
+(read, segment, thin), align (visibility and test-time optimization), correct (dynamics with the
+correction) and the rest (first state, final alignment, visibility of the result). Run with
+`OMP_NUM_THREADS=1`.
 
     python benchmarks/bench_tracking.py --json out/bench_tracking.json [--quick]
     python benchmarks/bench_tracking.py --json FILE --profile     adds the dearest functions
@@ -42,7 +43,7 @@ SOLVERS = ("adam", "icp")
 
 
 class TimedEyes:
-    """Observes frames and adds up the CPU time that it takes [s]."""
+    """An observer of frames that sums its CPU time [s]."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -50,7 +51,7 @@ class TimedEyes:
         self.spent_s = 0.0
 
     def __call__(self, frame: Frame) -> Observation:
-        """The cloud of a frame; the last one is kept, as the pipeline does."""
+        """Return the cloud of a frame; the last one is kept, as the pipeline does."""
         if frame.index not in self._seen:
             start = time.process_time()
             self._seen = {frame.index: observe(self._recording, frame)}
@@ -72,7 +73,7 @@ def one_pass(components: Components, solver: str) -> Assembled:
 def tracked(
     recording: Recording, mesh: ClothMesh, solver: str
 ) -> tuple[dict[str, float], TrackedTrajectory]:
-    """CPU seconds by part, and the result, of one recording tracked once."""
+    """Track one recording once; return CPU seconds by part, and the result."""
     eyes = TimedEyes(recording)
     start = time.process_time()
     config = RunConfig(search=SearchConfig(method="none"))
@@ -89,7 +90,7 @@ def tracked(
 
 
 def case(recording: Recording, vertex_count: int, solver: str, repeats: int) -> dict[str, object]:
-    """One row: medians over the repeats, after a run that compiles and fills the caches."""
+    """Return one row: medians over the repeats, after a run that compiles and fills the caches."""
     mesh = shirt(vertex_count)
     tracked(recording, mesh, solver)
     runs, result = [], None
@@ -112,7 +113,7 @@ def case(recording: Recording, vertex_count: int, solver: str, repeats: int) -> 
 
 
 def profiled(recording: Recording, vertex_count: int, solver: str) -> str:
-    """The functions that take most of their own time."""
+    """Return the functions with the largest own time."""
     mesh = shirt(vertex_count)
     tracked(recording, mesh, solver)
     profile = cProfile.Profile(time.process_time)
@@ -125,7 +126,7 @@ def profiled(recording: Recording, vertex_count: int, solver: str) -> str:
 
 
 def table(rows: list[dict]) -> str:
-    """The rows as text."""
+    """Return the rows as text."""
     names = list(rows[0]["seconds"])
     lines = [f"{'vertices':>8} {'solver':>6} " + " ".join(f"{name:>12}" for name in names)]
     for row in rows:
@@ -137,7 +138,7 @@ def table(rows: list[dict]) -> str:
 
 
 def main() -> None:
-    """Film, track at every size with both solvers, write the table."""
+    """Record, track at every size with both solvers and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, required=True, help="where the result goes")
     parser.add_argument("--quick", action="store_true", help="1,000 vertices, once")

@@ -1,8 +1,8 @@
-"""Cloth engines behind one small face: build with a shirt and a held vertex, step 10 ms at a time.
+"""Cloth engines with a common interface: build with a shirt and a held vertex, step by 10 ms.
 
-Each peer is set up as its authors' examples do for cloth of this size, with a contact distance of
-3 mm where it can be chosen. Peers are imported when they are built, so that one that is not
-installed is skipped with a reason.
+Each peer is configured as in its authors' examples for cloth of this size, with a contact distance
+of 3 mm where it can be chosen. Peers are imported when they are built, so that a missing one is
+skipped with a reason.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,19 +19,19 @@ FRICTION = 0.5
 
 
 class Engine(Protocol):
-    """A cloth on a table z = 0, one of whose vertices is held."""
+    """A cloth on a table z = 0 with one held vertex."""
 
     def step(self, target: np.ndarray) -> None:
-        """Advance 10 ms while the held vertex goes to a place in the world [m]."""
+        """Advance 10 ms while the held vertex moves to a position in the world [m]."""
         ...
 
     def positions(self) -> np.ndarray:
-        """Vertices in the world [m]."""
+        """Return vertices in the world [m]."""
         ...
 
 
 class Ours:
-    """XPBD of this package."""
+    """The XPBD solver of this package."""
 
     def __init__(self, mesh: ClothMesh, held: int) -> None:
         from clothtrack.recordings import Table
@@ -53,7 +53,7 @@ class Ours:
         self._solver.step(STEP_S, self._attachment(self._targets, self._strength))
 
     def positions(self) -> np.ndarray:
-        """Vertices [m]."""
+        """Return vertices [m]."""
         return self._solver.positions[0].astype(np.float64)
 
 
@@ -77,12 +77,12 @@ class MuJoCoFlex:
         self._tip = target
 
     def positions(self) -> np.ndarray:
-        """Vertices [m]."""
+        """Return vertices [m]."""
         return self._world.positions
 
 
 class _Newton:
-    """What both solvers of Newton share: a model on a ground plane, four substeps of 2.5 ms."""
+    """Common base of both Newton solvers: a model on a ground plane, four substeps of 2.5 ms."""
 
     substeps = 4
 
@@ -147,7 +147,7 @@ class _Newton:
             self._now, self._next = self._next, self._now
 
     def positions(self) -> np.ndarray:
-        """Vertices [m]."""
+        """Return vertices [m]."""
         return self._now.particle_q.numpy().astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""What every benchmark leaves: a JSON file with its figures and where they were measured."""
+"""Output of every benchmark: a JSON file with its figures and where they were measured."""
 
 import json
 import platform
@@ -18,7 +18,7 @@ PACKAGES = (
 
 
 def provenance() -> dict[str, object]:
-    """Processor, versions and commit."""
+    """Return processor, versions and commit."""
     versions = {}
     for name in PACKAGES:
         try:
@@ -35,7 +35,7 @@ def provenance() -> dict[str, object]:
 
 
 def write_json(path: Path, result: dict[str, object]) -> None:
-    """Write under a temporary name beside the target, then rename."""
+    """Write under a temporary name next to the target, then rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
@@ -43,7 +43,7 @@ def write_json(path: Path, result: dict[str, object]) -> None:
 
 
 def _processor() -> str:
-    """The processor's name where Linux tells it."""
+    """Return the processor's name as reported by Linux."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text(encoding="utf-8").splitlines():
@@ -53,7 +53,7 @@ def _processor() -> str:
 
 
 def _commit() -> str:
-    """The commit of the checkout, with a mark when files differ from it."""
+    """Return the commit of the checkout, with a mark when files differ from it."""
     asked = subprocess.run(
         ["git", "describe", "--always", "--dirty"],
         cwd=Path(__file__).parent, capture_output=True, text=True, check=False,

@@ -1,8 +1,9 @@
-"""A recording to measure on: a corner of a two-layer T-shirt is folded over, 43 frames at 20 Hz.
+"""A recording for benchmarks: folding a corner of a two-layer T-shirt, 43 frames at 20 Hz.
 
-The cloth that is filmed is our own solver's at another triangulation (about 1,500 vertices) than
-any that tracks it; the camera is the stand-in world's, with its noise and the tool in the way.
-Everything is written to disk and read back, so that reading, segmenting and thinning count too.
+The recorded cloth is simulated by our own solver with another triangulation (about 1,500 vertices)
+than any tracked one. The camera is that of the simulated world (MuJoCo), with its noise and the
+tool in view. Everything is written to disk and read back, so that reading, segmenting and thinning
+are included.
 """
 
 from dataclasses import replace
@@ -48,15 +49,15 @@ FILMED = ClothParameters(bend_compliance=30.0, table_friction=0.6, particle_fric
 
 
 def shirt(vertex_count: int, *, seed: int = 0) -> ClothMesh:
-    """The T-shirt with about so many vertices, lying on the table."""
+    """Return the T-shirt on the table with about `vertex_count` vertices."""
     flat = garment("tshirt", vertex_count=vertex_count, size_m=SIZE_M, seed=seed)
     return flat.with_vertices(flat.vertices + (0.0, 0.0, 0.002 - flat.vertices[:, 2].min()))
 
 
 def staged(folder: Path, frame_rate: float = FRAME_RATE) -> Recording:
-    """Film the fold into a folder that does not exist yet, and read it.
+    """Record the fold into a new folder, and read it.
 
-    The fold takes as long whatever the rate [1/s].
+    The duration of the fold does not depend on the rate [1/s].
     """
     steps, carried = (round(n * frame_rate / FRAME_RATE) for n in (STEPS, CARRIED_STEPS))
     mesh = shirt(FILMED_VERTICES, seed=3)
@@ -87,7 +88,7 @@ def staged(folder: Path, frame_rate: float = FRAME_RATE) -> Recording:
 
 
 def _tips(start: np.ndarray, steps: int, carried: int) -> np.ndarray:
-    """Where the tool is at each frame [m]: an arc, then straight up and away."""
+    """Return where the tool is at each frame [m]: an arc, then straight up and away."""
     share = np.linspace(0.0, 1.0, carried + 1)
     eased = share**2 * (3.0 - 2.0 * share)
     arc = start + eased[:, None] * WAY_M
@@ -98,7 +99,7 @@ def _tips(start: np.ndarray, steps: int, carried: int) -> np.ndarray:
 
 
 def _motion(mesh: ClothMesh, held: int, tips: np.ndarray, carried: int) -> list[np.ndarray]:
-    """The cloth's vertices at each frame [m]."""
+    """Return the cloth's vertices at each frame [m]."""
     solver = ClothSolver(mesh, SolverConfig(table=TABLE), parameters=FILMED)
     dynamics = ClothDynamics(solver)
     shapes = [solver.positions[0].astype(np.float64)]

@@ -3,8 +3,8 @@
     python experiments                      the list, which is README.md
     python experiments NAME [OPTION ...]    one of its scripts; NAME --help for options
 
-Python looks for imports beside this file, so that scripts share modules by their full names
-(`from shared.bench_runs import Task`) and nothing has to be installed.
+Python searches for imports next to this file, so scripts share modules by their full names (`from
+shared.bench_runs import Task`) and nothing has to be installed.
 """
 
 import sys
@@ -18,7 +18,7 @@ FOLDERS = ("tables", "figures", "real")
 
 
 def scripts() -> dict[str, str]:
-    """The module of every script by its name: of every file that has a `main`."""
+    """Return the module of every script by its name; scripts are the files with a `main`."""
     return {
         file.stem: f"{folder}.{file.stem}"
         for folder in FOLDERS

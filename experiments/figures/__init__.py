@@ -1,1 +1,1 @@
-"""Scripts that draw or film what the documents show."""
+"""Scripts that make the figures and videos of the documents."""

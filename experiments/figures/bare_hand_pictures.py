@@ -1,12 +1,12 @@
-"""The pictures of docs/bare_hand.md: its commands run one after the other, the clicks in a browser.
+"""Make the pictures of docs/bare_hand.md by running its commands and clicking in a browser.
 
     python experiments bare_hand --films 1 --out out/bare_hand
     .venv/bin/python experiments bare_hand_pictures --film out/bare_hand/recordings/towel_0300
 
-Only color and depth of the film are used, as a folder that another program might have written. The
-clicks are made with a mouse in Chromium, at the pixels where a person would see the fingers close
-and open. Each command's time is printed. Writes docs/images/bare_hand_*.png; Chromium must be on
-the path, and the extra [experiments] installed.
+Only color and depth of the recording are used, as a folder that another program might have written.
+The clicks are made with a mouse in Chromium, at the pixels where a person would see the fingers
+close and open. The time of each command is printed. Writes docs/images/bare_hand_*.png; Chromium
+must be on the path, and the extra [experiments] installed.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def walk(film: ct.Recording, place: Path, image: Callable[[str], Path]) -> None:
-    """From a folder of pictures to a report."""
+    """Go from a folder of pictures to a report."""
     source, towel = strip(film, place / "film"), place / "out" / "towel"
     timed("import", source, towel, "--cloth", "towel")
     timed("calibrate-camera", towel)
@@ -75,14 +75,14 @@ def walk(film: ct.Recording, place: Path, image: Callable[[str], Path]) -> None:
 
 
 def timed(*words: object) -> None:
-    """One command of the documentation, and how long it takes."""
+    """Run one command of the documentation, and print its time."""
     began, worked = time.monotonic(), time.process_time()
     run(*words)
     say(f"{time.monotonic() - began:.0f} s, {time.process_time() - worked:.0f} s of work\n\n")
 
 
 def clicked_in_browser(film: ct.Recording, towel: Path, image: Path) -> None:
-    """The page of `find-picker --by-hand`, used with a mouse and saved."""
+    """Use the page of `find-picker --by-hand` with a mouse and save pictures of it."""
     camera, path = film.cameras[0], film.picker_paths["gripper"]
     addresses: queue.Queue[str] = queue.Queue()
     server = threading.Thread(
@@ -123,7 +123,7 @@ def mouse_click(page: Any, click: Click, width: int) -> None:
 
 
 def draw_heights(film: ct.Recording, towel: ct.Recording, image: Path) -> None:
-    """The highest cloth near the first path, the arc that fits it, and the true path."""
+    """Draw the highest cloth near the first path, the arc fitted to it, and the true path."""
     import matplotlib as mpl
 
     mpl.use("Agg")

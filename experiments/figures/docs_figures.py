@@ -1,4 +1,4 @@
-"""The figures of the documents: what was seen, the tracked mesh over it, the mesh alone.
+"""Make the figures of the documents: the picture, the tracked mesh over it, and the mesh alone.
 
     make demo
     .venv/bin/python experiments docs_figures --tracked out/demo/fold_the_tshirt.zarr

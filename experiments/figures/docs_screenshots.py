@@ -1,4 +1,4 @@
-"""The screenshots of docs/report.md: each page opened in a headless Chromium, as a reader sees it.
+"""Make the screenshots of docs/report.md by opening each page in a headless Chromium.
 
     clothtrack simulate out/world --garment tshirt --actions 2
     clothtrack track out/world/recordings/* --output out/tracked
@@ -48,7 +48,7 @@ TURN = """(() => {
 
 
 def browser() -> ModuleType:
-    """What drives Chromium in the tests."""
+    """Return the module of the tests that controls Chromium."""
     spec = importlib.util.spec_from_file_location("chromium", BROWSER)
     assert spec is not None
     assert spec.loader is not None
@@ -59,7 +59,7 @@ def browser() -> ModuleType:
 
 @contextmanager
 def opened(where: Path | str) -> Iterator[Any]:
-    """A page in a browser of its own."""
+    """Yield a page in a new browser."""
     chromium = browser()
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
@@ -69,7 +69,7 @@ def opened(where: Path | str) -> Iterator[Any]:
 
 
 def save(page: Any, image: Path) -> None:
-    """Save what is seen, as small as a document wants it."""
+    """Save a screenshot at the size of a document."""
     shown = cv2.imdecode(np.frombuffer(page.picture(), np.uint8), 1)[..., ::-1]
     height = round(WIDTH_PX * shown.shape[0] / shown.shape[1])
     small = cv2.resize(shown, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
@@ -78,7 +78,7 @@ def save(page: Any, image: Path) -> None:
 
 
 def shoot_report(file: Path, image: Callable[[str], Path]) -> None:
-    """The offline report: what it opens with, layers apart, the error against the truth."""
+    """Save the offline report: its first view, separated layers, and the true error."""
     with opened(file) as page:
         page.wait_for(READY)
         for name, mode, gap, opacity in (
@@ -96,7 +96,7 @@ def shoot_report(file: Path, image: Callable[[str], Path]) -> None:
 
 
 def shoot_live(run: ct.Run, file: Path, image: Callable[[str], Path]) -> None:
-    """The served page at the last label, rejected."""
+    """Save the served page at the last label, rejected."""
     review = file.with_name(f"{run.name}.review.json")
     addresses: list[str] = []
     decisions = Decisions(LabelReview.blank(run), review)
@@ -113,7 +113,7 @@ def shoot_live(run: ct.Run, file: Path, image: Callable[[str], Path]) -> None:
 
 
 def main() -> None:
-    """Open every page and save what is seen."""
+    """Open every page and save screenshots."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tracked", type=Path, required=True)
     parser.add_argument("--recordings", type=Path, required=True)

@@ -1,8 +1,8 @@
-"""Where the error comes from: calibration, layers, hidden parts, drift. One figure, from rows.
+"""Draw the sources of error in one figure: calibration, layers, hidden parts and drift.
 
     python experiments error_sources --rows OUT/experiments --image docs/images/error_sources.png
 
-Four questions, each a panel; a panel whose rows are missing says which experiment makes them.
+There are four panels; a panel whose rows are missing names the experiment that makes them.
 
 - Drift: how the default's error grows from action to action, and how much of it is the cloth as a
   whole in the wrong place (what the best rigid motion takes away).
@@ -53,7 +53,7 @@ CAUSES = (
 
 
 def rows_by_experiment(folder: Path) -> dict[str, list[Row]]:
-    """The good rows of every experiment in a folder."""
+    """Return the good rows of every experiment in a folder."""
     return {
         file.stem: [row for row in read_rows(file) if "error" not in row]
         for file in sorted(folder.glob("*.jsonl"))
@@ -79,7 +79,7 @@ def drift(rows: dict[str, list[Row]]) -> tuple[list[int], dict[str, list[float]]
 
 
 def contributions(rows: dict[str, list[Row]]) -> list[tuple[str, float, float, float]]:
-    """Per garment and action: what three groups of vertices add to the mean error [mm].
+    """Return, per garment and action, three vertex groups' contributions to the mean error [mm].
 
     The groups are the visible and the hidden ones whose layers are in order, and the swapped ones.
     """
@@ -95,7 +95,7 @@ def contributions(rows: dict[str, list[Row]]) -> list[tuple[str, float, float, f
 
 
 def shape_or_place(rows: dict[str, list[Row]]) -> list[tuple[str, float, float]]:
-    """Per method: the error that one rigid motion takes away, and the rest [mm]."""
+    """Return, per method, the error removed by one rigid motion, and the rest [mm]."""
     bars = []
     for experiment in ("table1", "model_free"):
         own = rows.get(experiment, [])
@@ -112,7 +112,7 @@ def shape_or_place(rows: dict[str, list[Row]]) -> list[tuple[str, float, float]]
 
 
 def causes(rows: dict[str, list[Row]]) -> list[tuple[str, float, float, int]]:
-    """Per cause: mean fall of the error [mm] without it, standard error, number of recordings."""
+    """Return, per cause, the mean error reduction without it [mm], standard error and number."""
     bars = []
     for label, experiment, without, with_it in CAUSES:
         gaps = -differences(rows.get(experiment, []), without, with_it, ERROR)
@@ -123,7 +123,7 @@ def causes(rows: dict[str, list[Row]]) -> list[tuple[str, float, float, int]]:
 
 
 def _of(rows: dict[str, list[Row]], experiment: str, variant: str) -> list[Row]:
-    """After TTO2, the rows of one variant, or of those whose name ends in "=" and what follows."""
+    """Return the rows after TTO2 of a variant, or of all that start with it if it ends in "="."""
     return [
         row
         for row in rows.get(experiment, [])
@@ -222,7 +222,7 @@ def _cause_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the figure and say what it shows in numbers; returns the exit code."""
+    """Draw the figure and print its numbers; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows")
     parser.add_argument("--image", type=Path, default=Path("docs/images/error_sources.png"))

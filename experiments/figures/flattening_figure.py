@@ -1,9 +1,9 @@
-"""Flattening in one picture: the curve over actions per method, and three episodes of one method.
+"""Draw flattening in one picture: curves over actions per method, and three episodes of one.
 
     python experiments flattening_figure --out OUT --image docs/images/flattening.png
 
 OUT is that of `flattening.py`. The episodes are the best, the median and the worst of `--method` by
-where they ended, and not by how they look; the same starts of other methods are not searched.
+final score, not by appearance; the same starts of other methods are not searched.
 """
 
 import argparse
@@ -36,7 +36,7 @@ NAME = "flattening"
 
 
 def chosen_episodes(rows: Sequence[Row], method: str) -> Mapping[str, str]:
-    """Names of the best, the median and the worst episode of a method, by where they ended.
+    """Return names of the best, the median and the worst episode of a method, by where they ended.
 
     Raises:
         InvalidConfigError: the method has no rows.
@@ -50,7 +50,7 @@ def chosen_episodes(rows: Sequence[Row], method: str) -> Mapping[str, str]:
 
 
 def episode_line(strip: Picture, used: int, most: int = SHOWN) -> Picture:
-    """Pictures of a strip beside each other: the first, the last, and some between.
+    """Return pictures of a strip beside each other: the first, the last, and some between.
 
     Args:
         strip: of `write_film_strip`.
@@ -69,7 +69,7 @@ def episode_line(strip: Picture, used: int, most: int = SHOWN) -> Picture:
 
 
 def strip_of(out: Path, rows: Sequence[Row], method: str, recording: str) -> Picture:
-    """The line of one episode.
+    """Return the line of one episode.
 
     Raises:
         InvalidResultError: its strip is not there.
@@ -83,7 +83,7 @@ def strip_of(out: Path, rows: Sequence[Row], method: str, recording: str) -> Pic
 
 
 def draw(out: Path, rows: Sequence[Row], method: str, image: Path) -> Path:
-    """The figure as a PNG.
+    """Return the figure as a PNG.
 
     Args:
         out: folder of the experiment.

@@ -1,12 +1,12 @@
-"""What more training is worth: error on the same fresh states against the examples that were seen.
+"""Draw the benefit of more training: error on the same fresh states over examples seen.
 
     python experiments network_on_states --states DIR... --weights W1 W2 W3 --json ROWS --refined
     python experiments learning_curve --rows ROWS --examples 184000 314416 341280 --image FILE
 
-W1, W2, ... are weights of one training, the earliest first; --examples says how many each has seen.
-For every kind of garment, by coverage, the mean error, and what a power of the number of examples
-fitted to it says: the error after 100,000 and a million examples more, and how many times as many
-examples half the error asks for. A fit to a few weights says little of how far it carries.
+W1, W2, ... are weights of one training, earliest first; --examples gives how many each has seen.
+For every kind of garment, by coverage, the table has the mean error and the prediction of a fitted
+power law: the error after 100,000 and a million more examples, and the factor on the number of
+examples for half the error. A fit to a few weights does not show how far it can be extrapolated.
 """
 
 import argparse
@@ -47,13 +47,13 @@ class Curve:
     spreads_mm: Float[np.ndarray, " weights"]
 
     def after(self, more: float) -> float:
-        """Return the error [mm] that a fitted power law has after so many examples more."""
+        """Return the error [mm] of the fitted power law after `more` further examples."""
         slope, offset = self._fit()
         return float(np.exp(offset + slope * np.log(self.examples[-1] + more)))
 
     @property
     def halving(self) -> float:
-        """How many times as many examples the fit asks for half the error; infinite if it rises."""
+        """Factor on the number of examples for half the error, by the fit; infinite if it rises."""
         slope, _ = self._fit()
         return float(2.0 ** (-1.0 / slope)) if slope < 0.0 else float("inf")
 

@@ -1,12 +1,12 @@
-"""A strip per method: the mesh over what was seen, the mesh, its error from above and below.
+"""Draw a strip per method: the mesh over the picture, the mesh, and its error from both sides.
 
     python experiments method_strip --bench OUT --rows OUT/experiments \
         --recording tshirt_0003 --image docs/images/methods.png
 
-Several recordings stand under each other. Rows of several folders, as of two commits, stand beside
-the commit that they were tracked at. The first strip is the truth. Both sides of the cloth have
-their own hue, so that layers pushed through each other show as patches; the view from below, where
-there is no table, shows what the camera could not see.
+Several recordings are drawn below each other. Rows of several folders, for example of two commits,
+are labeled with the commit that they were tracked at. The first strip is the truth. The two sides
+of the cloth have different hues, so that layers pushed through each other show as patches. The view
+from below, without the table, shows what the camera could not see.
 """
 
 import argparse
@@ -43,7 +43,7 @@ class Strip:
     """One line of the picture.
 
     Attributes:
-        words: what stands over it, left and right.
+        words: captions on the left and right.
         vertices: the mesh [m].
         faces: its triangles.
         errors: distance of each vertex to its true place [m].
@@ -56,7 +56,7 @@ class Strip:
 
 
 def strips(rows: Sequence[tuple[str, Path, Row]], truth: Truth, action: int) -> list[Strip]:
-    """The truth and, after TTO2, every named row's mesh, at the end of an action (from 1).
+    """Return the truth and, after TTO2, every named row's mesh, at the end of an action (from 1).
 
     Args:
         rows: what each is called, the folder that it is of, and the row.
@@ -87,7 +87,7 @@ def strips(rows: Sequence[tuple[str, Path, Row]], truth: Truth, action: int) -> 
 def draw(
     chosen: Sequence[Strip], recording: Recording, frame: int, *, limit_mm: float
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """All strips under each other."""
+    """Return all strips stacked vertically."""
     points = chosen[0].vertices
     everything = np.concatenate([strip.vertices for strip in chosen])
     above = three_quarter_view(everything, width=WIDTH, height=HEIGHT)
@@ -128,7 +128,7 @@ def _still(
 def _close_up(
     recording: Recording, frame: int, points: Float[np.ndarray, "points 3"], strip: Strip | None
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """The first camera's picture around the cloth, a strip's mesh over it; paper without one."""
+    """Return the first camera's picture around the cloth with a strip's mesh; blank without one."""
     camera = recording.cameras[0]
     file = recording.frames[frame].color.get(camera.name)
     if file is None:
@@ -152,7 +152,7 @@ def _close_up(
 
 
 def _draw_mesh(picture: UInt8[np.ndarray, "height width 3"], camera: Camera, strip: Strip) -> None:
-    """The mesh as a veil in the colors of its two sides, and the outline of its shape."""
+    """Draw the mesh semi-transparent in the colors of its two sides, with its outline."""
     still = Shader(strip.faces, camera).render(strip.vertices)
     inside = still.cloth
     veil = 0.5 * picture[inside] + 0.5 * still.image[inside]
@@ -166,7 +166,7 @@ def _draw_mesh(picture: UInt8[np.ndarray, "height width 3"], camera: Camera, str
 def rows_of(
     folders: Sequence[Path], recording: str, methods: Sequence[str] | None
 ) -> list[tuple[str, Path, Row]]:
-    """Rows of a recording, with the folder of each and the name that it has in the picture."""
+    """Return rows of a recording, each with its folder and its name in the picture."""
     return [
         (_named(row, several=len(folders) > 1), folder, row)
         for folder in folders
@@ -183,7 +183,7 @@ def _named(row: Row, *, several: bool) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the strips and say where they are; returns the exit code."""
+    """Draw the strips and print their paths; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bench", type=Path, required=True, help="folder of the benchmark")
     parser.add_argument("--rows", type=Path, nargs="+", help="folders of rows (BENCH/experiments)")

@@ -1,4 +1,4 @@
-"""The moving picture of README and docs: the mesh follows the cloth, with its latency.
+"""Make the video of README and docs: the mesh follows the cloth, with its latency.
 
     python experiments moving_picture
 
@@ -79,7 +79,7 @@ def pictures(
 
 
 def main() -> None:
-    """Draw the moving picture and say how large it is."""
+    """Draw the video and print its size."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recording", type=Path, default=shipped_recording())
     parser.add_argument("--image", type=Path, default=Path("docs/images/live.webp"))

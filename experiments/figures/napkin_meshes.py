@@ -1,10 +1,10 @@
-"""Real napkins as a network reconstructed them before and after it learned from labels.
+"""Draw real napkins as reconstructed by a network before and after learning from labels.
 
     python experiments table2_real --data DIR --json OUT
     python experiments napkin_meshes --data DIR --rows OUT --image FILE
 
-Ten of the judged pictures, evenly taken: the mesh before, the mesh after, the tracker's mesh. The
-measured clouds are not in it: their makers gave no license.
+The figure has ten of the judged pictures, evenly spaced, each with the mesh before, the mesh after,
+and the tracker's mesh. The measured clouds are not included, because they have no license.
 """
 
 import argparse
@@ -32,13 +32,13 @@ COUNT, COLUMNS = 10, 2
 
 
 def taken(cloths: Sequence[Napkin]) -> list[tuple[Napkin, int]]:
-    """Ten pictures, evenly."""
+    """Return ten pictures, evenly."""
     every = [(one, frame) for one in cloths for frame in one.frames]
     return [every[n] for n in np.linspace(0, len(every) - 1, COUNT).round().astype(int)]
 
 
 def row_of(report: dict[str, list[Row]], network: str, labels: str) -> Row:
-    """The first row of these labels.
+    """Return the first row of these labels.
 
     Raises:
         InvalidConfigError: there is none.
@@ -50,7 +50,7 @@ def row_of(report: dict[str, list[Row]], network: str, labels: str) -> Row:
 
 
 def sheet(data: Path, rows: Path, network: str, labels: str) -> Picture:
-    """All pictures with their meshes.
+    """Return all pictures with their meshes.
 
     Raises:
         InvalidConfigError: nothing was measured with these labels.
@@ -81,7 +81,7 @@ def sheet(data: Path, rows: Path, network: str, labels: str) -> Picture:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the picture and say where it is; returns the exit code."""
+    """Draw the picture and print its path; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True, help="as table2_real had it")
     parser.add_argument("--rows", type=Path, required=True, help="what table2_real wrote")

@@ -1,10 +1,10 @@
-"""The pictures of docs/own_recording.md: its commands run one after the other, as a newcomer would.
+"""Make the pictures of docs/own_recording.md by running its commands one after the other.
 
     python experiments picker_from_pictures --smoke --out out/tip
     .venv/bin/python experiments own_recording_pictures --film out/tip/recordings/towel_0100
 
-Only color and depth of the film are used, as a folder that another program might have written:
-where the camera was, what is cloth and what moved it is found again. Writes
+Only color and depth of the recording are used, as a folder that another program might have written.
+The camera pose, the cloth's mask and the picker are found again. Writes
 docs/images/own_recording_*.png; Chromium must be on the path.
 """
 
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def walk(film: Recording, place: Path, image: Callable[[str], Path]) -> None:
-    """From a folder of pictures to a report."""
+    """Go from a folder of pictures to a report."""
     source, towel = strip(film, place / "film"), place / "out" / "towel"
     run("import", source, towel, "--cloth", "towel", "--cloth-color", str(film.cloth.color))
     run("calibrate-camera", towel)
@@ -68,7 +68,7 @@ def walk(film: Recording, place: Path, image: Callable[[str], Path]) -> None:
 
 
 def run(*words: object) -> None:
-    """One command of the documentation; stops when it fails."""
+    """Run one command of the documentation; stop if it fails."""
     say(f"clothtrack {' '.join(map(str, words))}\n")
     done = cli.main([str(word) for word in words])
     if done:
@@ -78,13 +78,13 @@ def run(*words: object) -> None:
 def smaller(
     picture: UInt8[np.ndarray, "height width 3"],
 ) -> UInt8[np.ndarray, "rows columns 3"]:
-    """As wide as a document wants it."""
+    """Return the picture at the width of a document."""
     height = round(WIDTH_PX * picture.shape[0] / picture.shape[1])
     return cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
 
 
 def strip(film: Recording, folder: Path) -> Path:
-    """Color and depth of a film as a folder in Open3D's style, and nothing else."""
+    """Return color and depth of a film as a folder in Open3D's style, and nothing else."""
     camera = film.cameras[0]
     for kind in ("depth", "color"):
         (folder / kind).mkdir(parents=True)
@@ -100,7 +100,7 @@ def strip(film: Recording, folder: Path) -> Path:
 
 
 def table_picture(recording: Recording) -> UInt8[np.ndarray, "height width 3"]:
-    """The first frame: what lies in the table's plane tinted, the world's axes and squares."""
+    """Return the first frame with the table's plane tinted, and the world's axes and squares."""
     camera, frame = recording.cameras[0], recording.frames[0]
     picture = read_color(frame.color[camera.name])
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
@@ -127,7 +127,7 @@ def table_picture(recording: Recording) -> UInt8[np.ndarray, "height width 3"]:
 def pixels(
     recording: Recording, ends: tuple[tuple[float, float], tuple[float, float]]
 ) -> list[tuple[int, int]]:
-    """Where two points of the table are in the picture."""
+    """Return where two points of the table are in the picture."""
     camera = recording.cameras[0]
     world = np.array([(*end, 0.0) for end in ends])
     pose = camera.world_from_camera

@@ -1,10 +1,10 @@
-"""Meshes that real pictures became, in one picture: evenly taken, not chosen.
+"""Draw meshes reconstructed from real pictures in one picture, evenly spaced and not chosen.
 
     python experiments real_pictures --data DIR --json OUT/real.json --keep OUT
     python experiments real_meshes --judged OUT/real.json --keep OUT --image FILE
 
-The pictures themselves are not in it: their makers gave no license. Each mesh is seen from where
-its camera was, straight above, shaded from the side.
+The pictures themselves are not included, because they have no license. Each mesh is seen from its
+camera, straight above, and shaded from the side.
 """
 
 import argparse
@@ -29,7 +29,7 @@ FROM_ABOVE_DEG = 75.0
 
 
 def drawn(row: dict[str, object], folder: Path) -> Picture:
-    """One mesh with its name and the overlap of its silhouette; "no": it is not trusted."""
+    """Return one mesh with its name and the overlap of its silhouette; "no": it is not trusted."""
     name = str(row["picture"]).removeprefix("template_")
     words = name, f"{row['iou']:.2f}{'' if row['word'] == 'trust' else ' no'}"
     file = folder / f"{row['picture']}.ply"
@@ -44,7 +44,7 @@ def drawn(row: dict[str, object], folder: Path) -> Picture:
 
 
 def sheet(judged: Path, keep: Path) -> Picture:
-    """Ten meshes of each set, evenly taken.
+    """Return ten meshes of each set, evenly taken.
 
     Raises:
         InvalidConfigError: nothing was judged.
@@ -62,7 +62,7 @@ def sheet(judged: Path, keep: Path) -> Picture:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the picture and say where it is; returns the exit code."""
+    """Draw the picture and print its path; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--judged", type=Path, required=True, help="what real_pictures wrote")
     parser.add_argument("--keep", type=Path, required=True, help="where it left the meshes")

@@ -1,9 +1,8 @@
-"""Film the recording that comes with clothtrack, small enough to be shipped.
+"""Record the example that is shipped with clothtrack, small enough for the package.
 
 A two-layer T-shirt is folded twice in the simulated world, seen by a noisy depth camera with the
-tool in the way. What is left out of the shipped copy: the truth (it goes to OUT/world/truth, for
-whoever wants to judge the result), depth farther than 12 pixels from the cloth, and the two lowest
-bits of each color.
+tool in view. The shipped copy leaves out the truth (it goes to OUT/world/truth, for judging
+results), depth farther than 12 pixels from the cloth, and the two lowest bits of each color.
 
     python experiments shipped_recording --output OUT
 
@@ -57,7 +56,7 @@ WORLD = EpisodeConfig(
 
 
 def make(output: Path) -> Path:
-    """Film the world and write the small copy; the folder of the copy."""
+    """Record the world and write the small copy; return the folder of the copy."""
     world = output / "world"
     filmed = world / "recordings" / f"tshirt_{SEED:04d}"
     if not filmed.exists():
@@ -69,7 +68,7 @@ def make(output: Path) -> Path:
 
 
 def shrink(recording: Recording, folder: Path) -> Path:
-    """A copy with coarser color and no depth far from the cloth."""
+    """Return a copy with coarser color and no depth far from the cloth."""
     (camera,) = recording.cameras
     provenance = {
         **recording.provenance,
@@ -107,7 +106,7 @@ def neighborhood(
     color: UInt8[np.ndarray, "height width 3"],
     depth: Float[np.ndarray, "height width"],
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels of the cloth and those within `MARGIN_PX` of them."""
+    """Return pixels of the cloth and those within `MARGIN_PX` of them."""
     (camera,) = recording.cameras
     cloth = default_segmenter(recording, frame, camera)(color, depth, camera, recording.table)
     side = 2 * MARGIN_PX + 1

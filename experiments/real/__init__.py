@@ -1,1 +1,1 @@
-"""Real recordings: per set, a converter to the recording format and a scorer of positions."""
+"""Real recordings: a converter to the recording format and a scorer of positions per data set."""

@@ -1,4 +1,4 @@
-"""The layout of `real/robot_clouds.py`, drawn: squares that rise, seen from straight above."""
+"""Synthetic data in the layout of `real/robot_clouds.py`: rising squares seen from above."""
 
 import json
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ def write(
 ) -> Path:
     """Write the set below `folder`, and return `folder`.
 
-    The first square rises level by 2 cm a frame; each further one leans a degree more. Below
-    `lowest_z_m` the source kept nothing.
+    The first square rises level by 2 cm per frame; each further one leans by one degree more. There
+    are no points below `lowest_z_m`.
     """
     (folder / NAME / "sequences").mkdir(parents=True)
     corners = [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M]]
@@ -40,7 +40,7 @@ def write(
 
 
 def cloud_at(height_m: float, lean_rad: float = 0.0) -> Float[np.ndarray, "points 3"]:
-    """Points of the square at a height [m]."""
+    """Return points of the square at a height [m]."""
     ticks = np.linspace(0, SIDE_M, POINTS)
     cloud = np.stack(np.meshgrid(ticks, ticks, [height_m]), -1).reshape(-1, 3)
     return cloud + np.outer(cloud[:, 0] * np.tan(lean_rad), (0, 0, 1))

@@ -1,4 +1,4 @@
-"""The layout of `real/topdown.py`, drawn: a folded towel each, to see that everything runs."""
+"""Synthetic data in the layout of `real/topdown.py`: folded towels for smoke runs."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ LAYER_M = 0.006
 
 
 def folded() -> ClothMesh:
-    """A square towel on the table, a third of it folded over."""
+    """Return a square towel on the table, a third of it folded over."""
     flat = garment("towel", vertex_count=400, size_m=(SIDE_M, SIDE_M))
     x, y, z = flat.vertices.astype(np.float64).T
     line = SIDE_M / 6.0

@@ -48,7 +48,7 @@ class HangingClothScore:
         return None if None in slides else max(slides)
 
     def summary(self) -> dict[str, object]:
-        """The figures that the set's targets name."""
+        """Return the figures that the set's targets name."""
         return {
             "chamfer_surface_m2": float(self.chamfer_surface_m2.mean()),
             "worst_frame_m2": float(self.chamfer_surface_m2.max()),
@@ -65,12 +65,12 @@ class HangingClothScore:
 
 
 def frame_count(folder: Path) -> int:
-    """Number of frames of the set."""
+    """Return the number of frames of the set."""
     return len(_pictures(folder, "color"))
 
 
 def template(folder: Path) -> ClothMesh:
-    """The given cloth of the first frame, in the world; quads cut along alternating diagonals.
+    """Return the given first-frame cloth in the world; quads are cut along alternating diagonals.
 
     Its canonical coordinates are its flat ones [m], (x, y, 0).
 
@@ -103,7 +103,7 @@ def template(folder: Path) -> ClothMesh:
 
 
 def measured_points(folder: Path) -> list[Float[np.ndarray, "points 3"]]:
-    """The measured cloth of every frame, in the world [m]; for scoring only."""
+    """Return the measured cloth of every frame, in the world [m]; for scoring only."""
     with np.load(folder / "points.npz") as stored:
         points, offsets = upright(stored["points_mm"] * 1e-3), stored["offsets"]
     return [points[a:b] for a, b in pairwise(offsets)]
@@ -207,12 +207,12 @@ def _drift(
 
 
 def judged_rows(count: int) -> list[int]:
-    """A fifth, two fifths, ... of the recording and its last frame (10, 20, 30, 40, 49 of 50)."""
+    """Return rows at each fifth of the recording and its last (10, 20, 30, 40, 49 of 50)."""
     return sorted({min(round(part * count / 5), count - 1) for part in range(1, 6)})
 
 
 def read_picture(file: Path) -> np.ndarray:
-    """A color picture (height, width, RGB)."""
+    """Return a color picture (height, width, RGB)."""
     picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
     if picture is None:
         raise InvalidRecordingError(f"{file}: not a readable picture")

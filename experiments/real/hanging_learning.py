@@ -1,7 +1,8 @@
-"""hanging-cloth-rgbd as Table 2 takes a garment: a third of its time judges, the others teach.
+"""hanging-cloth-rgbd for Table 2: a third of its frames is for testing, the others for training.
 
-The camera stands level and the network looks down: the world is turned so that the camera looks
-straight down, and what hangs lies. There is no table, and there are true depth pictures.
+The camera is level, but the network expects a view from above. So the world is rotated until the
+camera looks straight down and the hanging cloth lies. There is no table, and there are true depth
+pictures.
 """
 
 from dataclasses import dataclass, replace
@@ -74,19 +75,19 @@ class HangingFrames:
         return width, length
 
     def picture(self, frame: int) -> DepthInput:
-        """What the network is shown: the depth picture, of a camera that looks down."""
+        """Return what the network is shown: the depth picture, of a camera that looks down."""
         depth, mask, camera = self._seen(frame)
         return DepthInput(depth, mask, camera, None, KIND, self.size_m)
 
     def labeled(self, tracked: TrackedTrajectory) -> LabeledRecording:
-        """Every frame, labeled by the tracker."""
+        """Return every frame, labeled by the tracker."""
         pictures = [
             self._labeled_picture(self._seen(frame), tracked, frame) for frame in self.frames
         ]
         return self._of(self.name, tracked.mesh, list(self.frames), pictures)
 
     def simulated(self, simulated: TrackedTrajectory) -> LabeledRecording:
-        """The same frames of a simulated cloth, with noise; it has no holes."""
+        """Return the same frames of a simulated cloth, with noise; it has no holes."""
         rng = np.random.default_rng([*self.name.encode()])
         pictures = []
         for frame in self.frames:
@@ -99,13 +100,13 @@ class HangingFrames:
         return self._of(f"simulated_{self.name}", simulated.mesh, list(self.frames), pictures)
 
     def tracked_mesh(self, tracked: TrackedTrajectory) -> Ask:
-        """The tracker's mesh by frame, in the world that the network is shown."""
+        """Return the tracker's mesh by frame, in the world that the network is shown."""
         return lambda frame: (tracked.mesh.with_vertices(_shown(tracked, frame)), tracked.mesh)
 
     def judged(
         self, frame: int, mesh: ClothMesh, rest: ClothMesh, tracked: TrackedTrajectory
     ) -> Row:
-        """The measures of one mesh of one frame; both held corners and the print among them."""
+        """Return the measures of a frame's mesh, including both held corners and the print."""
         label = tracked.mesh.with_vertices(_shown(tracked, frame))
         material = self._named(mesh, label)
         positions = mesh.vertices.astype(np.float64)
@@ -155,9 +156,9 @@ class HangingFrames:
         )
 
     def _named(self, mesh: ClothMesh, label: ClothMesh) -> Float[np.ndarray, "vertices 2"]:
-        """Flat coordinates of the vertices as the template has them, of eight namings the best.
+        """Return flat coordinates of the vertices under the best of the square's eight symmetries.
 
-        Nobody tells the network which corner of a square is which.
+        The network is not given which corner of a square is which.
         """
         given = hanging_cloth.template(self.source)
         middle = 0.5 * (given.canonical.min(axis=0) + given.canonical.max(axis=0))
@@ -175,9 +176,9 @@ class HangingFrames:
 
 
 def hanging_frames(data: Path, output: Path) -> dict[str, dict[str, list[HangingFrames]]]:
-    """The set in a folder, as what is learned from, "train", and what is judged, by `SPLITS`.
+    """Return the set in a folder, split into "train" and the judged parts of `SPLITS`.
 
-    Nothing without the set.
+    It is empty without the set.
     """
     source = data / hanging_cloth.NAME
     if not source.is_dir():
@@ -197,11 +198,11 @@ def hanging_frames(data: Path, output: Path) -> dict[str, dict[str, list[Hanging
 
 
 def _shown(tracked: TrackedTrajectory, frame: int) -> Float[np.ndarray, "vertices 3"]:
-    """Tracked vertices in the world that the network is shown [m]."""
+    """Return tracked vertices in the world that the network is shown [m]."""
     in_camera = np.asarray(tracked.positions[frame], np.float64) @ WORLD_FROM_CAMERA[:3, :3]
     return in_camera @ LOOKING_DOWN[:3, :3].T
 
 
 def _upright(points: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any 3"]:
-    """Points of the world that the network is shown, in the recording's [m]."""
+    """Return points of the world that the network is shown, in the recording's [m]."""
     return upright(points @ LOOKING_DOWN[:3, :3])

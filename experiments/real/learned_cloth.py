@@ -1,4 +1,4 @@
-"""What Table 2 asks of a set of real cloth: pictures, labels, and a judge."""
+"""The interface of a real data set in Table 2: pictures, labels and scores."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,13 +22,13 @@ Ask = Callable[[int], Answer]
 
 
 class Cloth(Protocol):
-    """One recording of real cloth that is learned from, or measured on.
+    """One recording of real cloth for training or testing.
 
     Attributes:
         name: of the recording.
         folder: the recording.
         size_m: width and length of the flat cloth [m].
-        frames: the frames that are learned from, or judged.
+        frames: frames for training or scoring.
     """
 
     name: str
@@ -37,30 +37,30 @@ class Cloth(Protocol):
     frames: Sequence[int]
 
     def picture(self, frame: int) -> DepthInput:
-        """What the network is shown."""
+        """Return the network's input."""
         ...
 
     def labeled(self, tracked: TrackedTrajectory) -> LabeledRecording:
-        """Every frame, labeled by a tracker."""
+        """Return every frame, labeled by a tracker."""
         ...
 
     def simulated(self, simulated: TrackedTrajectory) -> LabeledRecording:
-        """The same frames with no real cloth in them: a simulated one, filmed as the real one."""
+        """Return the same frames of a simulated cloth, recorded like the real one."""
         ...
 
     def tracked_mesh(self, tracked: TrackedTrajectory) -> Ask:
-        """The tracker's mesh by frame, as a network would have answered."""
+        """Return the tracker's mesh by frame, as a network would have answered."""
         ...
 
     def judged(
         self, frame: int, mesh: ClothMesh, rest: ClothMesh, tracked: TrackedTrajectory
     ) -> Row:
-        """The measures of one mesh: of a frame, with rest lengths, beside the default tracker."""
+        """Return the measures of a frame's mesh, given rest lengths and the default tracker."""
         ...
 
 
 def corners(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:
-    """A towel's corners in the world [m]: its outermost vertices along both diagonals."""
+    """Return a towel's corners in the world [m]: its outermost vertices along both diagonals."""
     flat = np.asarray(mesh.canonical, np.float64)[:, :2]
     flat = flat - 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])

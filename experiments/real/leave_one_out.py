@@ -1,18 +1,18 @@
-"""Real napkins, some left out: what do labels of other fabrics teach, and of the same fabric?
+"""Leave-one-out on real napkins: learning from labels of other fabrics, or of the same fabric.
 
     python experiments leave_one_out --data DIR --json OUT
     python experiments leave_one_out --data DIR --json OUT --learn-from same_fabric
 
 DIR has robot-lift-fold-clouds: ten lifts and folds of three fabrics. For each fabric, the shipped
-token network learns from all sequences of the others, and is judged on those of the fabric. With
-`same_fabric`, the protocol of the paper, it is judged on each sequence after it learned from the
-others of its fabric. The recipe was fixed before the first run: `finetune_short` as the package has
-it, evaluated every fourth epoch; three sequences in ten of those that are learned from, one at
-least, select the weights. What is learned from are the control's pictures, labels of open loop and
-of the default tracker, and the default's and the control's together, as `table2_real` has them and
-keeps them.
+token network learns from all sequences of the others, and is scored on those of the fabric. With
+`same_fabric`, the protocol of the paper, it is scored on each sequence after learning from the
+others of its fabric. The recipe was fixed before the first run: `finetune_short` of the package,
+evaluated every fourth epoch, with three in ten of the training sequences, at least one, for
+selecting the weights. The labels are the control's pictures, labels of open loop and of the default
+tracker, and the default's and the control's together, as made and stored by `table2_real`.
 
-What is finished is written after every fold; a second call goes on. `--labels` takes any of them.
+Finished results are written after every fold, and a second call resumes. `--labels` takes any of
+them.
 """
 
 import argparse
@@ -49,7 +49,7 @@ MEASURES = (
 
 
 def fabric_of(name: str) -> str:
-    """The fabric of a sequence, which its takes share: "tan" of "lift_tan2"."""
+    """Return the fabric of a sequence, which its takes share: "tan" of "lift_tan2"."""
     return name.partition("_")[2].rstrip("0123456789")
 
 
@@ -58,7 +58,7 @@ Folds = dict[str, dict[str, list[Napkin]]]
 
 
 def other_fabrics(found: Sequence[Napkin]) -> Folds:
-    """One fold for each fabric: all sequences of the others are learned from.
+    """Return one fold for each fabric: all sequences of the others are learned from.
 
     Raises:
         InvalidConfigError: there is one fabric alone, or two names are of one sequence.
@@ -76,7 +76,7 @@ def other_fabrics(found: Sequence[Napkin]) -> Folds:
 
 
 def same_fabric(found: Sequence[Napkin]) -> Folds:
-    """One fold for each sequence: the others of its fabric are learned from.
+    """Return one fold for each sequence: the others of its fabric are learned from.
 
     Raises:
         InvalidConfigError: a fabric has one sequence alone, or two names are of one sequence.
@@ -104,7 +104,7 @@ FOLDS = {"other_fabrics": other_fabrics, "same_fabric": same_fabric}
 def rows_of(
     plan: Plan, parts: Mapping[str, Mapping[str, Sequence[Napkin]]], labels: Sequence[str]
 ) -> Iterator[list[Row]]:
-    """The pictures of all that is left out, one kind of label and one fold at a time."""
+    """Yield the pictures of all that is left out, one kind of label and one fold at a time."""
     for network, start in plan.starts.items():
         for name in (*labels, TRACKER):
             for left_out, splits in parts.items():
@@ -216,7 +216,7 @@ def _planned(options: argparse.Namespace) -> Plan:
 
 
 def _smoke(options: argparse.Namespace, temporary: Path) -> Plan:
-    """A published network that has learned nothing, in place of the token network."""
+    """Return a published network that has learned nothing, in place of the token network."""
     options.networks, options.training = ["published"], "finetune_short"
     options.settings, options.test = [], None
     return table2_real.smoke(options, temporary)

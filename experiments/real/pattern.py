@@ -1,9 +1,9 @@
-"""Pattern drift: does the print stay where it is on the tracked cloth?
+"""Pattern drift: how far the print slides on the tracked cloth.
 
-A witness that is independent of depth: the color picture is unwrapped onto the mesh, and patches
-of the unwrapped print are looked for in the print unwrapped from the first frame. Where the mesh
-follows the material, a patch is found where it was; where the mesh slides along the cloth, the
-patch is found beside its place, and where it is lost, nothing correlates any more.
+This measure does not depend on depth. The color picture is unwrapped onto the mesh, and patches of
+the unwrapped print are searched for in the print unwrapped from the first frame. If the mesh
+follows the material, a patch is found at its original position. If the mesh slides along the cloth,
+the patch is found next to it, and if the mesh is lost, nothing correlates.
 """
 
 from dataclasses import dataclass
@@ -96,7 +96,7 @@ class Unwrapper:
         vertices: Float[np.ndarray, "vertices 3"],
         camera: Camera,
     ) -> UInt8[np.ndarray, "rows columns 3"]:
-        """The print as it lies on the flat cloth, sampled from the picture (bicubic)."""
+        """Return the print as it lies on the flat cloth, sampled from the picture (bicubic)."""
         points = LinearNDInterpolator(self._triangles, vertices)(self._texels)
         pixels, _ = camera.project(points.reshape(-1, 3))
         pixels = np.nan_to_num(pixels, nan=-1e4).astype(np.float32)
@@ -111,7 +111,7 @@ def pattern_drift(
     later: UInt8[np.ndarray, "rows columns 3"],
     config: PatternConfig | None = None,
 ) -> PatternDrift:
-    """Slide of each patch of the first unwrapped print in a later one."""
+    """Return slide of each patch of the first unwrapped print in a later one."""
     config = PatternConfig() if config is None else config
     patch, stride, margin, search = (
         round(length / config.texel_m)
@@ -141,7 +141,7 @@ def pattern_drift(
 def _peak(
     scores: Float[np.ndarray, "rows columns"], best: tuple[np.intp, ...]
 ) -> Float[np.ndarray, " 2"]:
-    """The place of the maximum between the pixels: a parabola along each axis."""
+    """Return the place of the maximum between the pixels: a parabola along each axis."""
     place = np.array(best, dtype=float)
     for axis, size in enumerate(scores.shape):
         if 0 < best[axis] < size - 1:

@@ -1,4 +1,4 @@
-"""How near a mesh is to one real picture: its silhouette, and the stickers on its corners."""
+"""Scores of a mesh against one real picture: its silhouette, and the stickers on its corners."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,14 +14,14 @@ Points = Float[np.ndarray, "points 2"]
 def silhouette_iou(
     drawn: Bool[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
 ) -> float:
-    """Shared pixels over all pixels of both silhouettes."""
+    """Return shared pixels over all pixels of both silhouettes."""
     return float((drawn & shown).sum() / max((drawn | shown).sum(), 1))
 
 
 def assigned(
     stickers: Points, corners: Points
 ) -> tuple[Float[np.ndarray, " stickers"], Int[np.ndarray, " stickers"]]:
-    """Distance of each sticker to its corner, and which that is: one to one, least in sum."""
+    """Return each sticker's corner and its distance, assigned one to one with the least sum."""
     apart = cdist(stickers, corners)
     rows, columns = linear_sum_assignment(apart)
     return apart[rows, columns], columns
@@ -30,7 +30,7 @@ def assigned(
 def at_stickers(
     mesh: ClothMesh, values: Float[np.ndarray, "vertices n"]
 ) -> Float[np.ndarray, "4 n"]:
-    """Values of the vertices of a towel where the stickers on its corners are."""
+    """Return values of the vertices of a towel where the stickers on its corners are."""
     flat = np.asarray(mesh.canonical, np.float64)
     low, high = flat.min(axis=0), flat.max(axis=0)
     inset = STICKER_INSET / np.sqrt(2.0) * (high - low).max()
@@ -41,9 +41,9 @@ def at_stickers(
 
 
 def moved_in(rectangle: Float[np.ndarray, "4 2"], inset: float) -> Float[np.ndarray, "4 2"]:
-    """Corners moved along their diagonal's two sides so that they are `inset` from where they were.
+    """Return the corners of a rectangle, each moved inwards by `inset` along its angle bisector.
 
-    At most to the middle of a side.
+    They move at most to the middle of a side.
     """
     moved = rectangle.copy()
     for way in (1, -1):

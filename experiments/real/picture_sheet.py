@@ -1,4 +1,4 @@
-"""What real pictures became, to look at: color, measured heights, heights of the mesh."""
+"""Contact sheets of reconstructed real pictures: color, measured heights, heights of the mesh."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ STICKER_RGB, CORNER_RGB = (30, 200, 30), (255, 40, 40)
 
 
 def drawn_depth(mesh: ClothMesh, camera: Camera) -> Float[np.ndarray, "height width"]:
-    """Depth of the mesh in a camera [m]; 0 where it is not."""
+    """Return the depth of the mesh in a camera [m]; 0 where it is not."""
     depth = Rasterizer(mesh.faces, camera).render(mesh.vertices.astype(np.float64)).depth
     return np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)
 
@@ -61,7 +61,7 @@ def tile(
 
 
 def sheet(tiles: Sequence[Picture]) -> Picture:
-    """Tiles in two columns."""
+    """Return tiles in two columns."""
     rows = []
     for start in range(0, len(tiles), COLUMNS):
         line = list(tiles[start : start + COLUMNS])
@@ -75,7 +75,7 @@ def _heights(
     shown: Bool[np.ndarray, "height width"],
     highest_m: float,
 ) -> Picture:
-    """Heights from the table to the highest as colors, paper where nothing is shown."""
+    """Return heights from the table to the highest as colors, paper where nothing is shown."""
     levels = np.clip(255.0 * height_m / highest_m, 0, 255).astype(np.uint8)
     colors = cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
     return np.where(shown[..., None], colors, np.uint8(rgb255(PAPER)))

@@ -1,10 +1,10 @@
-"""How well single real pictures are reconstructed: garments folded by hand, crumpled cloths.
+"""Score reconstructions of single real pictures: garments folded by hand, crumpled cloths.
 
 Claim judged: the network knows real cloth. No true mesh is known. A garment is judged by its
-silhouette and by its visible surface against the measured one (two-way Chamfer distance, summed).
-A cloth with stickers on its corners is judged by them too: each sticker that can be seen is given
-to one corner of the mesh, where a sticker's middle lies, and so that the distances are least.
-They are in parts of the cloth's longer side, over all stickers. The control asks no network: the
+silhouette and by its visible surface against the measured one (two-way Chamfer distance, summed). A
+cloth with stickers on its corners is also judged by them. Each visible sticker is assigned to one
+corner of the mesh, at the position of a sticker's middle, with the least distances. The distances
+are in parts of the cloth's longer side, over all stickers. The control uses no network but the
 corners of the least rectangle around the silhouette. A picture without a mesh has no overlap, an
 infinite Chamfer distance, and all its corners in the middle of its silhouette.
 
@@ -14,9 +14,9 @@ A mesh is right when silhouettes overlap by 0.93, the Chamfer distance is at mos
 sticker is near its corner. That says nothing of hidden layers. The word of the verdict is printed
 beside it; it knows no silhouette of the color picture and no sticker.
 
-DIR has `garments`, `stickers` or both (`real/topdown.py` has the layout). A row is written when it
-is known; a second call with the same weights, commit and data goes on where the first one stopped.
-`--smoke` asks an untrained network about two drawn pictures: its figures mean nothing.
+DIR has `garments`, `stickers` or both (`real/topdown.py` has the layout). Each row is written when
+it is finished; a second call with the same weights, commit and data resumes. `--smoke` asks an
+untrained network about two drawn pictures: its figures mean nothing.
 """
 
 import argparse
@@ -80,7 +80,7 @@ NO_FIGURES: Row = {
 
 @dataclass
 class Networks:
-    """The network of each garment, loaded when it is first asked for.
+    """The network of each garment, loaded on first use.
 
     Attributes:
         weights: by the garment that they are for, or "any"; those that come with clothtrack where
@@ -93,7 +93,7 @@ class Networks:
     _models: dict[str, Reconstructor] = field(default_factory=dict)
 
     def model(self, kind: str) -> Reconstructor:
-        """The network for a garment.
+        """Return the network for a garment.
 
         Raises:
             InvalidResultError: there is none, or its weights are damaged.
@@ -112,7 +112,7 @@ class Networks:
 
 
 def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
-    """The row of one picture; its mesh is left in `keep`, PLY."""
+    """Return the row of one picture; its mesh is left in `keep`, PLY."""
     model = networks.model(entry.kind)
     row: Row = {"picture": entry.name, "garment": entry.garment, "kind": entry.kind, **NO_FIGURES}
     wall, used = time.perf_counter(), time.process_time()
@@ -206,7 +206,7 @@ def _sticker_scores(
 
 
 def garments_summary(rows: Sequence[Row]) -> dict[str, object]:
-    """Rows of the garments with their means."""
+    """Return rows of the garments with their means."""
     return {
         "rows": list(rows),
         "iou": _mean([row["iou"] for row in rows]),
@@ -217,7 +217,7 @@ def garments_summary(rows: Sequence[Row]) -> dict[str, object]:
 
 
 def stickers_summary(rows: Sequence[Row]) -> dict[str, object]:
-    """Rows of the cloths with stickers, their mean, and means over all stickers."""
+    """Return rows of the cloths with stickers, their mean, and means over all stickers."""
     network, control = (
         [apart for row in rows for apart in row.get(key, [])]
         for key in ("sticker_side", "control_side")
@@ -239,7 +239,7 @@ SUMMARIES = {GARMENTS: garments_summary, STICKERS: stickers_summary}
 
 
 def table(name: str, rows: Sequence[Row]) -> str:
-    """The rows as text, one line each, and what they come to."""
+    """Return the rows as text, one line each, and what they come to."""
     heads = [
         "IoU",
         "Chamfer, 1e-4 m2",
@@ -349,7 +349,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _rows_of(file: Path | None, stamp: Mapping[str, object]) -> dict[tuple[str, str], Row]:
-    """Rows by set and picture of an earlier call that had the same stamp."""
+    """Return rows by set and picture of an earlier call that had the same stamp."""
     if file is None or not file.exists():
         return {}
     report = json.loads(file.read_text(encoding="utf-8"))
@@ -359,12 +359,12 @@ def _rows_of(file: Path | None, stamp: Mapping[str, object]) -> dict[tuple[str, 
 
 
 def _complete(row: Row, mesh: Path | None) -> bool:
-    """Whether a row's mesh is kept where meshes are, or there is none."""
+    """Return whether a row's mesh is kept where meshes are, or there is none."""
     return mesh is None or row["cloud_to_mesh_m"] is None or mesh.exists()
 
 
 def _sheet(entries: Sequence[Entry], rows: Sequence[Row], keep: Path) -> Picture:
-    """All pictures of a set with their meshes, to look at."""
+    """Return all pictures of a set with their meshes, to look at."""
     tiles = []
     for entry, row in zip(entries, rows, strict=True):
         try:

@@ -1,7 +1,7 @@
 """robot-lift-fold-clouds: napkins lifted or folded by a robot, as clouds of two cameras.
 
-The source cut away everything below a height and near the tool, so silence there means nothing.
-The path is the commanded one: where the tool really held the cloth is not known.
+The source removed all points below a height and near the tool, so missing points there carry no
+information. The path is the commanded one; where the tool really held the cloth is not known.
 """
 
 import json
@@ -90,7 +90,7 @@ class RobotCloudScore:
     edge_strain: Float[np.ndarray, " frames"]
 
     def summary(self) -> dict[str, float]:
-        """The figures that the set's targets name."""
+        """Return the figures that the set's targets name."""
         return {
             "chamfer_pc_m2": float(np.nanmean(self.chamfer_pc_m2)),
             "median_m2": float(np.nanmedian(self.chamfer_pc_m2)),
@@ -103,7 +103,7 @@ class RobotCloudScore:
 
 
 def sequences(folder: Path) -> list[Path]:
-    """The stored sequences of the set, folds first, in order of name."""
+    """Return the stored sequences of the set, folds first, in order of name."""
     return sorted((folder / "sequences").glob("*.npz"))
 
 
@@ -141,7 +141,7 @@ def load(file: Path) -> RobotSequence:
 
 
 def start_mesh(sequence: RobotSequence) -> ClothMesh:
-    """The start square as a grid of 33 x 33 vertices, resting on the table [m]."""
+    """Return the start square as a grid of 33 x 33 vertices, resting on the table [m]."""
     side = float(np.linalg.norm(sequence.square[1] - sequence.square[0]))
     flat = towel(width_m=side, length_m=side, spacing_m=side / CELLS)
     u, v = (flat.canonical[:, :2] / side + 0.5).T
@@ -185,7 +185,7 @@ def convert(file: Path, output: Path, *, frames: int | None = None) -> Path:
 
 
 def without_strays(cloud: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "kept 3"]:
-    """The cloud without clusters (linked within 12 mm) that hold under 4 % of its points."""
+    """Return the cloud without clusters (linked within 12 mm) that hold under 4 % of its points."""
     if len(cloud) == 0:
         return cloud
     pairs = cKDTree(cloud).query_pairs(LINK_M, output_type="ndarray")

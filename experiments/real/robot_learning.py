@@ -1,7 +1,7 @@
-"""robot-lift-fold-clouds as the paper's Table 2 takes a garment: labels, splits, and a judge.
+"""robot-lift-fold-clouds for the paper's Table 2: labels, splits and scores.
 
-A network is shown the merged cloud as a camera straight above would have seen it, and the napkin's
-side. It is never told where the gripper is, which holds a corner.
+A network is given the merged cloud as seen by a camera straight above, and the napkin's side. It is
+never given the position of the gripper, which holds a corner.
 """
 
 import hashlib
@@ -93,7 +93,7 @@ class Napkin:
         return [frame for frame in FRAMES if frame < len(self.sequence.clouds)]
 
     def picture(self, frame: int) -> DepthInput:
-        """What the network is shown."""
+        """Return the network's input."""
         return from_cloud(
             self._points(frame),
             self.recording.table,
@@ -102,7 +102,7 @@ class Napkin:
         )
 
     def labeled(self, tracked: TrackedTrajectory) -> LabeledRecording:
-        """Every judged frame, labeled by the tracker."""
+        """Return every judged frame, labeled by the tracker."""
         positions = np.asarray(tracked.positions, np.float64)
         labels = [PseudoLabel(frame, positions[frame]) for frame in self.frames]
         return label_recording(
@@ -111,10 +111,10 @@ class Napkin:
         )  # fmt: skip
 
     def simulated(self, simulated: TrackedTrajectory) -> LabeledRecording:
-        """The same lift with no real cloth in it: a simulated napkin, filmed and cut as the real.
+        """Return the same lift of a simulated napkin, recorded and cut like the real one.
 
-        Both cameras see it, what is under the cut or near the tool is removed, and as many points
-        stay as were measured; each has noise. Its label is exact.
+        Both cameras see it. Points below the cut or near the tool are removed, as many points stay
+        as were measured, and each has noise. Its label is exact.
         """
         rng = np.random.default_rng([*self.name.encode()])
         positions, faces = np.asarray(simulated.positions, np.float64), simulated.mesh.faces
@@ -133,13 +133,13 @@ class Napkin:
         )  # fmt: skip
 
     def tracked_mesh(self, tracked: TrackedTrajectory) -> Ask:
-        """The tracker's mesh by frame."""
+        """Return the tracker's mesh by frame."""
         return lambda frame: (_mesh_at(tracked, frame), tracked.mesh)
 
     def judged(
         self, frame: int, mesh: ClothMesh, rest: ClothMesh, tracked: TrackedTrajectory
     ) -> Row:
-        """The measures of one mesh of one frame; the gripper's corner among them."""
+        """Return the measures of one mesh of one frame; the gripper's corner among them."""
         positions, label = mesh.vertices.astype(np.float64), _mesh_at(tracked, frame)
         cloud = robot_clouds.score(
             positions[None], mesh.faces, self.file, rest=rest, frames=[frame]
@@ -160,7 +160,7 @@ class Napkin:
         }
 
     def under(self, frame: int) -> Float[np.ndarray, "points 3"]:
-        """Points [m] that the picture does not show: the second camera's alone."""
+        """Return points [m] that the picture does not show: the second camera's alone."""
         points = self._points(frame)
         depth, _, camera = cloud_picture(points)
         pixels, far = camera.project(points)
@@ -177,7 +177,7 @@ def _mesh_at(tracked: TrackedTrajectory, frame: int) -> ClothMesh:
 
 
 def napkins(data: Path, output: Path) -> list[Napkin]:
-    """The sequences of a folder, or of the set in it, as recordings below `output`.
+    """Return the sequences of a folder, or of the set in it, as recordings below `output`.
 
     Raises:
         InvalidConfigError: there are none.
@@ -199,7 +199,7 @@ def napkins(data: Path, output: Path) -> list[Napkin]:
 
 
 def refuse_shared(learned: Sequence[Napkin], judged: Sequence[Napkin]) -> None:
-    """No frame is both learned from and judged, under whatever name.
+    """Refuse frames that are used for both training and testing, under any name.
 
     Raises:
         InvalidConfigError: one is.

@@ -2,8 +2,8 @@
 
 Claim judged: pseudo-labels of a real garment teach a network that was pretrained in simulation to
 see that garment: Chamfer PC 60 % lower than before and 30 % lower than after as many simulated
-pictures of the same lifts, Chamfer Mesh 45 % lower, the corner that the gripper holds within
-50 mm of the gripper. The network is never told where the gripper is.
+pictures of the same lifts, Chamfer Mesh 45 % lower, the corner that the gripper holds within 50 mm
+of the gripper. The network is never given the position of the gripper.
 
     python experiments table2_real --data DIR [--test DIR] --json OUT
 
@@ -90,13 +90,13 @@ SMOKE_SETTINGS = (
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that the rows depend on.
+    """All inputs of the rows.
 
     Attributes:
         keep: folder of all that is kept.
-        splits: what is learned from, "train", and what is measured on: "choose", "test".
-        starts: weights of the networks before they learn, by their names.
-        tuner: how networks are fine-tuned.
+        splits: recordings for training, "train", and for measuring: "choose", "test".
+        starts: initial weights of the networks, by name.
+        tuner: fine-tuning of the networks.
         calibrated: False leaves the trackers' calibration out (smoke runs).
         workers: processes that measure, one recording each.
     """
@@ -109,7 +109,7 @@ class Plan:
     workers: int = 1
 
     def tracked(self, cloth: Cloth, mode: str) -> TrackedTrajectory:
-        """The tracked recording; tracked where it is not kept."""
+        """Return the tracked recording; tracked where it is not kept."""
         told = mode != UNTUNED
         return track(
             cloth.folder,
@@ -119,7 +119,7 @@ class Plan:
         )
 
     def labels(self, name: str) -> list[LabeledRecording]:
-        """What is learned from, by name; made where it is not kept."""
+        """Return what is learned from, by name; made where it is not kept."""
         if name == JOINED:
             return [*self.labels("default"), *self.labels(CONTROL)]
         found = []
@@ -138,7 +138,7 @@ class Plan:
         return cloth.labeled(self.tracked(cloth, name))
 
     def all_pictures(self, cloths: Sequence[Cloth], weights: Path | None) -> list[Row]:
-        """The rows of several recordings, in their order."""
+        """Return the rows of several recordings, in their order."""
         measure = partial(self.pictures, weights=weights)
         with closing(finished_in_workers(measure, cloths, self.workers)) as made:
             rows = [row for some in made for row in some]
@@ -146,7 +146,7 @@ class Plan:
         return sorted(rows, key=lambda row: order[row["sequence"]])
 
     def pictures(self, cloth: Cloth, weights: Path | None) -> list[Row]:
-        """One row per picture of a recording, by a network or, without one, by the tracker."""
+        """Return a row per picture of a recording, by a network or, without one, by the tracker."""
         key = TRACKER if weights is None else content_digest(weights)
         file = self.keep / "rows" / f"{cloth.name}-{key}-{ROW_FORMAT}.jsonl"
         if not file.exists():
@@ -175,7 +175,7 @@ def _network(cloth: Cloth, weights: Path) -> Ask:
 
 
 def run(napkin_plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
-    """Every row of both sets; the report is written after each of them."""
+    """Return every row of both sets; the report is written after each of them."""
     report: dict[str, Any] = {"provenance": _stamp(napkin_plan)}
     if options.only != HANGING:
         report["rows"] = rows = []
@@ -198,7 +198,7 @@ def run(napkin_plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def rows_of(plan: Plan, labels: Sequence[str]) -> Iterator[Row]:
-    """The rows of every network, one set of labels after the other, and of the tracker."""
+    """Yield the rows of every network, one set of labels after the other, and of the tracker."""
     for network, start in plan.starts.items():
         for name in labels:
             try:
@@ -219,7 +219,7 @@ def _named(network: str, labels: str) -> Row:
 
 
 def _kept_name(plan: Plan, weights: Path) -> str:
-    """Where the weights are in what is kept; the name of those that come with the package."""
+    """Return the path of the weights in the kept folder, or the name of shipped ones."""
     inside = weights.is_relative_to(plan.keep)
     return weights.relative_to(plan.keep).as_posix() if inside else weights.name
 
@@ -242,7 +242,7 @@ def _split_rows(plan: Plan, weights: Path | None) -> list[Row]:
 
 
 def _statistics(name: str, pictures: Sequence[Row]) -> Row:
-    """Mean and median over pictures, and the standard error over sequences: theirs are alike."""
+    """Return mean and median over pictures, and the standard error over sequences."""
     values = [one[name] for one in pictures if one.get(name) is not None]
     own: dict[str, list[float]] = {}
     for one in pictures:
@@ -282,7 +282,7 @@ COLUMNS = (
 
 
 def table(rows: Sequence[Row]) -> str:
-    """The rows as a Markdown table; Chamfer in 1e-4 m^2."""
+    """Return the rows as a Markdown table; Chamfer in 1e-4 m^2."""
     heads = ["network", "labels", "split", "learned", "judged", *(head for _, head, _ in COLUMNS)]
     lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
     for row in rows:
@@ -320,10 +320,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def planned(options: argparse.Namespace) -> Plan:
-    """The plan that the command line asks for.
+    """Return the plan that the command line asks for.
 
     Raises:
-        InvalidConfigError: a set is missing, or something is learned from and measured on.
+        InvalidConfigError: a set is missing, or a recording is used for training and measuring.
     """
     keep = options.json.with_suffix("")
     found = napkins(options.data, keep / "recordings")
@@ -348,7 +348,7 @@ def planned(options: argparse.Namespace) -> Plan:
 
 
 def smoke(options: argparse.Namespace, temporary: Path) -> Plan:
-    """Drawn clouds, and a published network that has learned nothing."""
+    """Return drawn clouds, and a published network that has learned nothing."""
     options.data = drawn_robot_clouds.write(
         temporary / "data", SMOKE_SEQUENCES, lowest_z_m=drawn_robot_clouds.TABLE_M
     )

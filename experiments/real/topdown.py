@@ -83,7 +83,7 @@ class Entry:
 
 
 def garments(folder: Path) -> list[Entry]:
-    """The pictures of folded garments.
+    """Return the pictures of folded garments.
 
     Raises:
         InvalidRecordingError: `meta.json` is missing or says too little.
@@ -101,7 +101,7 @@ def garments(folder: Path) -> list[Entry]:
 
 
 def stickers(folder: Path) -> list[Entry]:
-    """The pictures of cloths with stickers on their corners.
+    """Return the pictures of cloths with stickers on their corners.
 
     Raises:
         InvalidRecordingError: `meta.json` is missing or says too little.
@@ -122,14 +122,14 @@ SETS: dict[str, Callable[[Path], list[Entry]]] = {GARMENTS: garments, STICKERS: 
 
 
 def least_rectangle(silhouette: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "4 2"]:
-    """Corners (column, row) of the smallest rectangle around the pixels, in their order."""
+    """Return corners (column, row) of the smallest rectangle around the pixels, in their order."""
     rows, columns = np.nonzero(silhouette)
     pixels = np.stack([columns, rows], axis=1).astype(np.float32)
     return cv2.boxPoints(cv2.minAreaRect(pixels)).astype(np.float64)
 
 
 def sides_of(rectangle: Float[np.ndarray, "4 2"]) -> tuple[float, float]:
-    """Longer and shorter side of a rectangle [pixels]; its corners are middles of pixels."""
+    """Return longer and shorter side of a rectangle [pixels]; its corners are middles of pixels."""
     lengths = np.linalg.norm(rectangle[[1, 2]] - rectangle[[0, 1]], axis=1) + 1.0
     return float(lengths.max()), float(lengths.min())
 

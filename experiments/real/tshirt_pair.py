@@ -1,8 +1,9 @@
 """tshirt-pair-rgbd: one large step of a real T-shirt that two hands carry sideways.
 
-Two RGB-D frames, the shirt's mask in the first, and the true motion of its pixels between them,
-which only the scorer reads. The mesh is what the first frame shows: the front of the shirt. The
-camera was held by hand and looks down by 10 degrees; the wall behind tells where down is.
+The set has two RGB-D frames, the shirt's mask in the first, and the true motion of its pixels
+between them, which only the scorer reads. The mesh is the visible front of the shirt in the first
+frame. The camera was held by hand and looks down by 10 degrees; the wall behind defines the
+vertical.
 """
 
 import json
@@ -48,7 +49,7 @@ class TShirtScore:
     off_mesh_m: Float[np.ndarray, " pixels"]
 
     def summary(self) -> dict[str, float]:
-        """The figures that the set's targets name."""
+        """Return the figures that the set's targets name."""
         return {
             "end_point_error_mm": float(self.end_point_error_m.mean() * 1e3),
             "median_mm": float(np.median(self.end_point_error_m) * 1e3),
@@ -58,7 +59,7 @@ class TShirtScore:
 
 
 def frame_numbers(folder: Path) -> tuple[int, int]:
-    """Numbers of the first and the second frame, from the name of the file with the motion.
+    """Return numbers of the first and the second frame, from the name of the file with the motion.
 
     Raises:
         InvalidRecordingError: when there is no such file.
@@ -70,7 +71,7 @@ def frame_numbers(folder: Path) -> tuple[int, int]:
 
 
 def front_mesh(folder: Path) -> ClothMesh:
-    """The masked depth of the first frame as a triangle mesh on the image grid, in the world [m].
+    """Return the first frame's masked depth as a mesh on the image grid, in the world [m].
 
     One vertex every 4 pixels (about 9 mm); triangles with an edge twice as long as usual are cut,
     and the largest piece is kept.
@@ -160,7 +161,7 @@ def score(
 def true_motion(
     folder: Path,
 ) -> tuple[Float[np.ndarray, "pixels 3"], Float[np.ndarray, "pixels 3"]]:
-    """Where the shirt's pixels are in the first frame and how far they move [m], world frame."""
+    """Return the shirt's points in the first frame and their motion [m], world frame."""
     camera = standing_camera(folder)
     first, second = frame_numbers(folder)
     with np.load(folder / f"flow_{first:03d}_to_{second:03d}.npz") as stored:
@@ -173,11 +174,11 @@ def true_motion(
 
 
 def standing_camera(folder: Path) -> Camera:
-    """The camera in a world whose z axis lies in the wall behind the shirt.
+    """Return the camera in a world whose z axis lies in the wall behind the shirt.
 
-    The turn is the smallest that makes the wall upright, so that a frontal wall turns nothing.
-    What is not a wall (less than a third of the background, or leaning by 30 degrees) leaves the
-    camera level.
+    The turn is the smallest that makes the wall upright, so that a frontal wall turns nothing. If
+    there is no wall (less than a third of the background, or leaning by 30 degrees), the camera
+    stays level.
     """
     camera = level_camera(folder / "intrinsics.json", CAMERA)
     depth = _depth(folder, frame_numbers(folder)[0])
@@ -193,7 +194,7 @@ def standing_camera(folder: Path) -> Camera:
 
 
 def wall_normal(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " 3"] | None:
-    """Unit normal of the plane that most points lie on; None when it has less than a third."""
+    """Return the normal of the plane with most points; None if it has less than a third."""
     rng = np.random.default_rng(0)
     best = np.zeros(len(points), dtype=bool)
     for _ in range(200):

@@ -18,12 +18,12 @@ The camera is taken to stand level: the sources state no tilt.
 
 
 def level_camera(intrinsics: Path, name: str = "camera") -> Camera:
-    """The camera of an `intrinsics.json`, standing level at the world's origin."""
+    """Return the camera of an `intrinsics.json`, standing level at the world's origin."""
     values = json.loads(intrinsics.read_text())
     pinhole = {key: values[key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
     return Camera(name, **pinhole, world_from_camera=WORLD_FROM_CAMERA)
 
 
 def upright(points: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any 3"]:
-    """Points of the camera frame [m] in the upright world [m]."""
+    """Return points of the camera frame [m] in the upright world [m]."""
     return np.asarray(points, dtype=np.float64) @ WORLD_FROM_CAMERA[:3, :3].T

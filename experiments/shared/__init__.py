@@ -1,1 +1,1 @@
-"""What several experiments share: runs, rows, columns, command lines."""
+"""Common code of several experiments: runs, rows, columns and command lines."""

@@ -1,7 +1,7 @@
-"""The ablations: each is a named method with some functions of Algorithm 1 exchanged.
+"""The ablations: named methods in which some functions of Algorithm 1 are replaced.
 
-The paper's four ablate its own method (Table 1). `DEFAULT` takes one thing away from ours. `STEPS`
-add to the paper's method, one after the other, what ours does differently.
+The paper's four ablate its own method (Table 1). `DEFAULT` removes one part of ours each. `STEPS`
+add our changes to the paper's method, one after the other.
 """
 
 import itertools
@@ -42,7 +42,7 @@ def settings_of(name: str) -> RunConfig:
 
 
 def changed(assembled: Assembled, **functions: object) -> Assembled:
-    """Return the same with some functions of its method exchanged."""
+    """Return the same with some functions of its method replaced."""
     return replace(assembled, method=replace(assembled.method, **functions))
 
 
@@ -65,7 +65,7 @@ def without_dynamics_initialization(components: Components, base: Assemble) -> A
 
 
 def without_action(components: Components, base: Assemble) -> Assembled:
-    """Return dynamics that do not know what the pickers do ("No Act Cond")."""
+    """Return dynamics that are not given the pickers' actions ("No Act Cond")."""
 
     def still(action: PickAndPlace, state: State, theta: Theta) -> HeldCloth:
         held = components.pick(action, state, theta)
@@ -125,7 +125,7 @@ def unaligned_first(components: Components) -> Assembled:
 
 
 def best_only(components: Components) -> Assembled:
-    """Return ours going on from the best candidate and not from the mean."""
+    """Return ours, continuing from the best candidate instead of the mean."""
     assembled = default(components)
     return changed(assembled, calibrate=replace(assembled.method.calibrate, combine=best_candidate))
 
@@ -137,7 +137,7 @@ def tangled(components: Components) -> Assembled:
 
 
 def every_frame(components: Components) -> Assembled:
-    """Return ours with every frame tracked, where the pictures stand still, too."""
+    """Return ours with every frame tracked, even where the pictures do not change."""
     return changed(default(components), at_rest=never_at_rest)
 
 

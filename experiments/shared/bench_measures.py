@@ -1,4 +1,4 @@
-"""The row of one mesh: every measure of the evaluation, and the world's own mesh beside it."""
+"""The row of one mesh: every measure of the evaluation, also for the world's own mesh."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -25,7 +25,7 @@ STAGES = {"before_final_alignment": "before", "after_final_alignment": "after"}
 
 
 def measure(tracked: TrackedTrajectory, recording: Recording, truth: Truth) -> list[Row]:
-    """Two rows per action: before and after TTO2.
+    """Return two rows per action: before and after TTO2.
 
     Args:
         tracked: what the tracker left.
@@ -87,7 +87,7 @@ def _errors(summaries: Mapping[str, object]) -> Row:
 def _parts_of_error(
     vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "vertices 3"]
 ) -> Row:
-    """Where the error points, and what is left of it when the cloth as a whole is put right."""
+    """Return the direction of the error, and the rest after aligning the cloth as a whole."""
     gaps = vertices - points
     return {
         "error_along_table_mm": 1e3 * float(np.linalg.norm(gaps[:, :2], axis=1).mean()),
@@ -102,7 +102,7 @@ def _groups_of_error(
     visible: Bool[np.ndarray, " vertices"],
     mesh: ClothMesh,
 ) -> Row:
-    """What vertices in the wrong layer, visible and hidden ones each add to the mean error."""
+    """Return the contributions of swapped, visible and hidden vertices to the mean error."""
     errors = 1e3 * np.linalg.norm(vertices - points, axis=1)
     wrong = swapped_layers(vertices, points, mesh)
     groups = {"swapped": wrong, "visible": visible & ~wrong, "hidden": ~visible & ~wrong}
@@ -120,7 +120,7 @@ def swapped_layers(
     *,
     apart_m: float = 0.001,
 ) -> Bool[np.ndarray, " vertices"]:
-    """Vertices that lie under what they should lie on, or on what they should lie under.
+    """Return vertices whose order with another layer is swapped.
 
     Two vertices count as layers of each other where they are nearer than three quarters of an edge
     seen from above, in truth and in the mesh, and four times as far apart in the flat cloth.
@@ -149,7 +149,7 @@ def in_order(
     points: Float[np.ndarray, "vertices 3"],
     mesh: ClothMesh,
 ) -> float | None:
-    """Share of the vertices that are as high among their layers as they really are.
+    """Return the share of the vertices that are as high among their layers as they really are.
 
     Vertices count that have other layers above or below them, in truth and in the mesh, wherever
     these lie; half of them would be in order by chance where there are two layers. None where
@@ -169,7 +169,7 @@ def in_order(
 def _place_among_layers(
     positions: Float[np.ndarray, "vertices 3"], mesh: ClothMesh, *, apart_m: float = 0.0003
 ) -> Float[np.ndarray, " vertices"]:
-    """Share of the other layers at each vertex that lie under it; not a number where none is."""
+    """Return the share of the other layers at each vertex that lie under it; NaN without any."""
     reach_m = 0.75 * float(np.median(mesh.edge_lengths))
     a, b = cKDTree(positions[:, :2]).query_pairs(reach_m, output_type="ndarray").T
     rest = np.asarray(mesh.canonical if mesh.canonical is not None else mesh.vertices)
@@ -202,7 +202,7 @@ def _world(
     surface: Float[np.ndarray, "true_vertices 3"],
     truth: Truth,
 ) -> Row:
-    """The same measures of the true cloth: on its own mesh, and drawn on the tracker's."""
+    """Return the same measures of the true cloth: on its own mesh, and drawn on the tracker's."""
     true_edges = len(ClothMesh(surface, truth.faces).edges)
     own = crossings(surface, truth.faces)
     return {
@@ -231,7 +231,7 @@ def _effort(tracked: TrackedTrajectory, number: int) -> Row:
 
 
 def finite(value: object) -> object:
-    """The same with nothing that JSON lacks: numbers that are not finite become null."""
+    """Return the same with nothing that JSON lacks: numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

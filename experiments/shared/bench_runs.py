@@ -1,7 +1,7 @@
-"""Runs of an experiment over a benchmark: what is tracked, how, and one row per mesh.
+"""Runs of an experiment over a benchmark: trajectories, variants, and one row per mesh.
 
-A run is one trajectory in one variant. Its rows are kept under the hash of everything that it
-depends on, so that experiments share runs and a broken experiment goes on where it stopped.
+A run is one trajectory in one variant. Its rows are stored under the hash of everything that it
+depends on, so that experiments share runs and an interrupted experiment can be resumed.
 """
 
 import hashlib
@@ -42,7 +42,7 @@ class Trajectory:
     Attributes:
         name: of the recording.
         kind: the garment.
-        split: "dev", "test", "hard", or "" in a world without splits.
+        split: "dev", "test", "hard", or "" without splits.
         recording: its folder.
         truth: the file that only the evaluation and the named controls read.
     """
@@ -61,16 +61,16 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to track; every field is part of the hash but the name.
+    """A tracking variant; every field except the name is part of the hash.
 
     Attributes:
-        name: as the tables call it.
-        config: the settings.
+        name: name in the tables.
+        config: settings of the tracker.
         method: name of a method of `shared.ablations`; that of the settings' mode when empty.
         vertex_count: resample the first mesh to about so many vertices; None leaves it.
-        first_mesh_error: factor on the first mesh's deviation from the truth. Anything but 1 is a
-            control that reads the truth of the first frame, and no result.
-        peer: the model-free peer instead of the tracker.
+        first_mesh_error: factor on the first mesh's deviation from the truth. Any value but 1 is a
+            control that reads the truth of the first frame, not a result.
+        peer: whether to use the model-free baseline instead of the tracker.
     """
 
     name: str
@@ -94,8 +94,8 @@ class Task:
     """One run.
 
     Attributes:
-        trajectory: what is tracked.
-        variant: how.
+        trajectory: trajectory to track.
+        variant: variant to track it with.
         store: folder of all runs.
         device: "cpu" or "cuda:0".
     """
@@ -125,7 +125,7 @@ def _content_digest(recording: Path, truth: Path) -> str:
 def trajectories(
     bench: Path, split: str | None = None, limit: int | None = None
 ) -> list[Trajectory]:
-    """The recordings of a benchmark folder whose truth is there too.
+    """Return the recordings of a benchmark folder whose truth is there too.
 
     Args:
         bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
@@ -165,7 +165,7 @@ def run_all(
     ray: str = "",
     progress: Callable[[str], None] | None = None,
 ) -> list[list[Row]]:
-    """The rows of every task, in order; finished runs are read, the others are made.
+    """Return the rows of every task, in order; finished runs are read, the others are made.
 
     A run that fails for a reason that the package can name gives one row with that `error`, which
     is not kept.
@@ -219,7 +219,7 @@ def make(task: Task) -> list[Row]:
 
 
 def process_state() -> Row:
-    """Memory and open files of this process: whether they grow over many runs (Linux; else 0)."""
+    """Return memory and open files of this process, to see growth (Linux; else 0)."""
     status, files = Path("/proc/self/statm"), Path("/proc/self/fd")
     pages = int(status.read_text("ascii").split()[1]) if status.exists() else 0
     return {
@@ -230,7 +230,7 @@ def process_state() -> Row:
 
 
 def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:
-    """The recording with the first mesh that the variant asks for."""
+    """Return the recording with the first mesh that the variant asks for."""
     if variant.vertex_count is not None:
         recording = resampled(recording, variant.vertex_count)
     if variant.first_mesh_error != 1.0:
@@ -239,7 +239,7 @@ def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:
 
 
 def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTrajectory:
-    """Follow the cloth through a recording as the variant says."""
+    """Track the cloth in a recording with the variant's settings."""
     config = variant.config
     cloud = observer(recording, config.cloud_spacing_m, color=config.color)
     first = find_initial_state(
@@ -258,13 +258,13 @@ def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTraj
 
 
 def provenance_of(tracked: TrackedTrajectory, variant: Variant) -> dict[str, object]:
-    """Commit, versions, seed and settings; nothing that names the machine."""
+    """Return commit, versions, seed and settings, but nothing that identifies the machine."""
     stamp = {key: value for key, value in tracked.provenance.items() if key != "machine"}
     return {**stamp, "config_hash": variant.digest}
 
 
 def write_rows(rows: Iterable[Row], file: Path) -> None:
-    """One JSON object per line, what is not finite as null; the file is whole or absent."""
+    """Write one JSON object per line, non-finite values as null; the file is complete or absent."""
     file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.{os.getpid()}.partial")
     lines = [json.dumps(finite(row), allow_nan=False) + "\n" for row in rows]
@@ -273,12 +273,12 @@ def write_rows(rows: Iterable[Row], file: Path) -> None:
 
 
 def read_rows(file: Path) -> list[Row]:
-    """The rows of a file that `write_rows` has written."""
+    """Return the rows of a file that `write_rows` has written."""
     return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines() if line]
 
 
 def write_meshes(tracked: TrackedTrajectory, file: Path) -> None:
-    """The meshes at the end of each action, before and after TTO2, for pictures."""
+    """Write the meshes at the end of each action, before and after TTO2, for pictures."""
     temporary = file.with_name(f".{file.stem}.{os.getpid()}.partial.npz")
     np.savez_compressed(
         temporary,
@@ -293,7 +293,7 @@ def write_meshes(tracked: TrackedTrajectory, file: Path) -> None:
 
 
 def kept_labels(meshes: Path) -> tuple[ClothMesh, list[Label]]:
-    """First mesh and labels of a run, from the meshes that it left."""
+    """Return first mesh and labels of a run, from the meshes that it left."""
     kept = np.load(meshes)
     mesh = ClothMesh(kept["rest"].astype(np.float64), kept["faces"], kept["canonical"])
     after, before = kept["after"].astype(np.float64), kept["before"].astype(np.float64)

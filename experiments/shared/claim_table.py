@@ -21,7 +21,7 @@ Values = Mapping[tuple[str, int], float]
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """One table for each garment and network."""
+    """Return one table for each garment and network."""
     parts = []
     for group in dict.fromkeys(tuple(row[key] for key in GROUP) for row in rows):
         own = [row for row in rows if tuple(row[key] for key in GROUP) == group]
@@ -41,7 +41,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def of_one(rows: Sequence[Row]) -> str:
-    """One line for each kind of label."""
+    """Return one line for each kind of label."""
     names = list(dict.fromkeys(str(row["variant"]) for row in rows))
     by_name = {name: [row for row in rows if row["variant"] == name] for name in names}
     errors = {name: values(own, ERROR) for name, own in by_name.items()}
@@ -69,7 +69,7 @@ def _line(name: str, rows: Sequence[Row], errors: Mapping[str, Values]) -> list[
 
 
 def values(rows: Sequence[Row], key: str) -> Values:
-    """The mean of each recording's pictures, by recording and seed."""
+    """Return the mean of each recording's pictures, by recording and seed."""
     found: dict[tuple[str, int], list[float]] = {}
     for row in rows:
         if row.get(key) is not None:
@@ -78,7 +78,7 @@ def values(rows: Sequence[Row], key: str) -> Values:
 
 
 def standard_error(of: Values) -> float:
-    """Standard error of the mean over recordings and seeds; both kinds of chance are in it.
+    """Return the standard error of the mean, including the variance over recordings and seeds.
 
     The root of the sum of the squared standard errors of the recordings' means and of the seeds'.
     With one seed it is that of the recordings alone.
@@ -95,9 +95,9 @@ def standard_error(of: Values) -> float:
 
 
 def _paired(own: Values, name: str, errors: Mapping[str, Values]) -> Values:
-    """Differences from another kind of label, by recording and seed.
+    """Return differences from another kind of label, by recording and seed.
 
-    What has not learned has one value for all seeds.
+    An untrained network has one value for all seeds.
     """
     other = errors.get(name, {})
     if name == BEFORE:

@@ -29,7 +29,7 @@ TEXTS = (
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """Bytes with a few changes: flipped, overwritten, cut, doubled, shortened or lengthened."""
+    """Return bytes with a few changes: flipped, overwritten, cut, doubled, shorter or longer."""
     data = bytearray(data)
     for _ in range(int(rng.integers(1, 6))):
         if not data:
@@ -69,12 +69,12 @@ def damage_file(path: Path, rng: np.random.Generator) -> None:
 
 
 def chosen(options: Any, rng: np.random.Generator) -> Any:
-    """One of a sequence."""
+    """Return one of a sequence."""
     return options[int(rng.integers(len(options)))]
 
 
 def spoilt_document(document: Any, rng: np.random.Generator) -> Any:
-    """A JSON document with one value, somewhere in it, replaced, taken away or doubled."""
+    """Return a JSON document with one value, somewhere in it, replaced, taken away or doubled."""
     spots: list[tuple[Any, Any]] = []
 
     def walk(value: Any) -> None:
@@ -105,7 +105,7 @@ def spoilt_document(document: Any, rng: np.random.Generator) -> Any:
 
 
 def spoilt_text(text: str, rng: np.random.Generator) -> str:
-    """A table or mesh in text with one cell or line replaced, taken away or doubled."""
+    """Return a table or mesh in text with one cell or line replaced, taken away or doubled."""
     lines = text.splitlines()
     at = int(rng.integers(len(lines))) if rng.random() < 0.7 else min(int(rng.integers(4)),
                                                                     len(lines) - 1)  # fmt: skip
@@ -127,7 +127,7 @@ def spoilt_text(text: str, rng: np.random.Generator) -> str:
 
 
 def spoilt_arrays(arrays: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Arrays of which one has other values, another shape or type, or is gone."""
+    """Return arrays of which one has other values, another shape or type, or is gone."""
     arrays = dict(arrays)
     name = chosen(sorted(arrays), rng)
     arrays[name] = chosen(_CHANGES, rng)(arrays[name], arrays, rng)

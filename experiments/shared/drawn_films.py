@@ -1,10 +1,10 @@
-"""Films of a cloth whose every vertex is known in closed form, drawn by a renderer of its own.
+"""Videos of a cloth whose vertices are known in closed form, drawn by an independent renderer.
 
-Nothing here is shared with the simulators or with the package: no physics, no camera, no
-rasterizer. A sheet is bent along straight lines only, so that its lengths do not change. The
-cross-section of a fold is a chain of arcs and straight pieces; a drag is a translation with
-wrinkles along it. A hand, a forearm and a table are drawn into the same picture. World: z up,
-meters, the table at z = 0. Camera: x right, y down, z forward, pixel centers at integers.
+The module shares no physics, camera or rasterizer with the simulators or the package. A sheet is
+bent only along straight lines, so its lengths do not change. The cross-section of a fold is a chain
+of arcs and straight pieces. A drag is a translation with wrinkles along it. A hand, a forearm and a
+table are drawn into the same picture. The world has z up, in meters, and the table at z = 0. The
+camera has x right, y down, z forward, and pixel centers at integers.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ Motion = Callable[[np.ndarray, float], np.ndarray]
 
 @dataclass(frozen=True)
 class Fold:
-    """A part of the cloth that is turned over a line, and stays so.
+    """A fold of a part of the cloth over a line.
 
     Attributes:
         normal: unit vector in the cloth, from the line towards the part that is carried.
@@ -57,7 +57,7 @@ class Fold:
         return self.start_s + self.duration_s
 
     def section(self, time_s: float) -> list[tuple[float, float]]:
-        """Length [m] and curvature [1/m] of the pieces of the cross-section, from the line on."""
+        """Return length [m] and curvature [1/m] of the cross-section's pieces, from the line on."""
         share = float(np.clip((time_s - self.start_s) / self.duration_s, 0.0, 1.0))
         late = max(0.0, time_s - self.end_s)
         height = self.settled_m + (self.loop_m - self.settled_m) * np.exp(-late / self.settling_s)
@@ -79,7 +79,7 @@ class Fold:
             return [(flat, 0.0), (first * angle, 1.0 / first), (wider * back, -1.0 / wider)]
 
         def above(angle: float) -> float:
-            """Height of the lowest cloth beyond the first quarter turn over the lower layer [m]."""
+            """Return the cloth's least height over the lower layer past a quarter turn [m]."""
             beyond = np.linspace(flat + 0.5 * lifted, self.reach_m, 30)
             return float(cross_section(beyond, bent(angle))[1].min()) - LAYER_M
 
@@ -89,7 +89,7 @@ class Fold:
         return bent(turn)
 
     def __call__(self, material: np.ndarray, time_s: float) -> np.ndarray:
-        """How far each material point has left the flat cloth: (n, 3) [m], in its own frame."""
+        """Return material points' displacements from the flat cloth: (n, 3) [m], in its frame."""
         along = material @ np.asarray(self.normal) - self.offset_m
         beyond = np.maximum(along, 0.0)
         x, z = cross_section(beyond, self.section(time_s))
@@ -102,7 +102,7 @@ class Fold:
 def cross_section(
     lengths: np.ndarray, pieces: Sequence[tuple[float, float]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points of a plane curve of arcs, straight beyond the last one: x and z [m].
+    """Return the points of a plane curve of arcs, straight beyond the last one: x and z [m].
 
     Args:
         lengths: arc lengths [m] from its start, where it runs along x.
@@ -126,7 +126,7 @@ def cross_section(
 
 @dataclass(frozen=True)
 class Drag:
-    """The whole cloth is drawn along the table, and wrinkles along its way.
+    """A drag of the whole cloth along the table, with wrinkles along its path.
 
     Attributes:
         way: displacement in the cloth's frame [m].
@@ -148,7 +148,7 @@ class Drag:
         return self.start_s + self.duration_s
 
     def __call__(self, material: np.ndarray, time_s: float) -> np.ndarray:
-        """How far each material point has left the flat cloth: (n, 3) [m], in its own frame."""
+        """Return material points' displacements from the flat cloth: (n, 3) [m], in its frame."""
         share = _smooth((time_s - self.start_s) / self.duration_s)
         way = np.asarray(self.way)
         across = np.array([-way[1], way[0]]) / np.linalg.norm(way)
@@ -165,7 +165,7 @@ class Drag:
 
 
 def _smooth(share: float) -> float:
-    """From 0 to 1, at rest at both ends (minimum jerk)."""
+    """Return a smooth share from 0 to 1, at rest at both ends (minimum jerk)."""
     share = min(max(share, 0.0), 1.0)
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
@@ -191,16 +191,16 @@ class Picked:
 
 @dataclass(frozen=True)
 class Scene:
-    """A film to be drawn.
+    """A video to draw.
 
     Attributes:
         size_m: width and length of the cloth.
         moves: folds and drags; no point of the cloth is in two folds.
-        picked: who holds which point when; a point may be held again.
-        frames: how many.
+        picked: pickers with their points and times; a point may be held again.
+        frames: number of frames.
         rate: pictures per second.
         actions: first and last frame of each.
-        yaw_rad: turn of the cloth about the vertical.
+        yaw_rad: rotation of the cloth about the vertical.
         place_m: middle of the cloth in the world.
         tilt_deg: of the camera against the vertical.
         distance_m: of the camera from the origin.
@@ -235,7 +235,7 @@ class Scene:
         return np.arange(self.frames) / self.rate
 
     def positions(self, material: np.ndarray, time_s: float) -> np.ndarray:
-        """Material points (n, 2) in the world at a time: (n, 3) [m]."""
+        """Return material points (n, 2) in the world at a time: (n, 3) [m]."""
         local = np.zeros((len(material), 3))
         local[:, :2] = material
         for move in self.moves:
@@ -245,7 +245,7 @@ class Scene:
         return np.column_stack([turned + self.place_m, local[:, 2] + LOWEST_M])
 
     def tip(self, picked: Picked, time_s: float) -> np.ndarray:
-        """Where the fingertips of a picker are [m]: at its point, before and after it away."""
+        """Return a picker's fingertips [m]: at its point; before and after it, away."""
         held = min(max(time_s, picked.start_s), picked.end_s)
         place = self.positions(np.array([picked.point]), held)[0]
         away = _smooth(max(picked.start_s - time_s, time_s - picked.end_s) / 0.5)
@@ -271,7 +271,7 @@ class Scene:
 
 @dataclass
 class Film:
-    """What the camera saw, and what was true.
+    """The pictures of the camera, and the truth.
 
     Attributes:
         color: (frames, height, width, 3) of 8 bits, red first.
@@ -297,7 +297,7 @@ class Film:
 
 
 def draw(scene: Scene, spacing_m: float = 0.003) -> Film:
-    """Draw a film; the truth has a vertex every `spacing_m`."""
+    """Draw a video; the truth has a vertex every `spacing_m`."""
     rng = np.random.default_rng(scene.seed)
     width, height = scene.width, scene.width * 3 // 4
     grid, faces = sheet(scene.size_m, spacing_m)
@@ -336,7 +336,7 @@ def draw(scene: Scene, spacing_m: float = 0.003) -> Film:
 
 
 def sheet(size_m: tuple[float, float], spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """A rectangle of triangles around the origin: material points (n, 2) [m] and faces."""
+    """Return a rectangle of triangles around the origin: material points (n, 2) [m] and faces."""
     columns, rows = (max(2, round(side / spacing_m) + 1) for side in size_m)
     u, v = (
         np.linspace(-0.5 * side, 0.5 * side, n)
@@ -355,7 +355,7 @@ def _grid_faces(columns: int, rows: int) -> np.ndarray:
 
 
 def _cloth_color(places: np.ndarray, scene: Scene) -> np.ndarray:
-    """Color of each triangle (n, 3): plain, with dots or stripes; a seam along the rim."""
+    """Return color of each triangle (n, 3): plain, with dots or stripes; a seam along the rim."""
     color = np.tile(np.array(scene.color, np.float64), (len(places), 1))
     light = 0.5 * np.array(scene.color) + 110.0
     if scene.pattern == "dots":
@@ -370,7 +370,7 @@ def _cloth_color(places: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def _table(scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Color and depth [m] of the bare table."""
+    """Return color and depth [m] of the bare table."""
     width, height = scene.width, scene.width * 3 // 4
     coarse = rng.normal(0.0, 7.0, (height // 8, width // 8)).astype(np.float32)
     grain = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
@@ -386,7 +386,7 @@ def _table(scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarr
 
 
 def hand(tip: np.ndarray, azimuth_rad: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Two fingers that pinch, a fist and a forearm: vertices [m], faces, color of each face."""
+    """Return pinching fingers, a fist and a forearm: vertices [m], faces, color of each face."""
     outwards = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.55])
     outwards /= np.linalg.norm(outwards)
     side = np.array([-np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0])
@@ -413,7 +413,7 @@ def hand(tip: np.ndarray, azimuth_rad: float) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _tube(axis: Sequence[np.ndarray], radii: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """A round tube along a line of points, radii [m] at each, in triangles of some millimeters."""
+    """Return a round tube along points with radii [m], in triangles of some millimeters."""
     points = np.array(axis)
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     steps = np.linspace(0.0, lengths[-1], max(3, int(lengths[-1] / 0.004)))
@@ -434,7 +434,7 @@ def render(
     ground: np.ndarray,
     tabletop: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One picture.
+    """Return one picture.
 
     Args:
         scene: the camera.
@@ -462,7 +462,7 @@ def render(
 
 
 def project(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows (n, 2) and depth along the optical axis [m] of points in the world."""
+    """Return columns and rows (n, 2) and depth along the optical axis [m] of world points."""
     local = (points - scene.pose[:3, 3]) @ scene.pose[:3, :3]
     middle = (0.5 * (scene.width - 1), 0.5 * (scene.width * 3 // 4 - 1))
     z = np.maximum(local[:, 2], 1e-3)
@@ -472,7 +472,7 @@ def project(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def rasterize(
     corners: np.ndarray, depths: np.ndarray, behind: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest of many small triangles at every pixel center.
+    """Return the nearest of many small triangles at every pixel center.
 
     Args:
         corners: (triangles, 3, 2) [pixels].
@@ -516,7 +516,7 @@ def rasterize(
 
 
 def _corner(size_m: tuple[float, float], signs: tuple[int, int]) -> tuple[float, float]:
-    """Where a corner is taken: 4 mm inside the cloth."""
+    """Return where a corner is taken: 4 mm inside the cloth."""
     return signs[0] * (0.5 * size_m[0] - 0.004), signs[1] * (0.5 * size_m[1] - 0.004)
 
 
@@ -527,7 +527,7 @@ def _corner_fold(
     start_s: float,
     **more: float,
 ) -> Fold:
-    """A corner turned over the line that is `reach_m` from it and at equal angles to its sides."""
+    """Return a corner fold over the line `reach_m` from it at equal angles to its sides."""
     normal = np.array(signs) / np.sqrt(2.0)
     corner = 0.5 * np.array(size_m) * np.array(signs)
     return Fold(tuple(normal), float(corner @ normal) - reach_m, reach_m, start_s, 1.0, **more)

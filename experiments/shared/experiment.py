@@ -7,8 +7,8 @@
     --vertices N      first mesh resampled to about N vertices on the template's own surface
     --smoke           one small towel, one action, a short calibration: does everything run?
 
-Runs are kept by the hash of their settings: experiments share them, and a second call goes on where
-the first one stopped. What is printed is what `tables.py` rebuilds from the rows.
+Runs are stored by the hash of their settings, so experiments share them, and a second call resumes.
+The printed tables are those that `tables.py` rebuilds from the rows.
 """
 
 import argparse
@@ -49,18 +49,18 @@ Run = tuple[Trajectory, Variant]
 
 @dataclass(frozen=True)
 class Setup:
-    """What an experiment plans with.
+    """The inputs of an experiment's plan.
 
     Attributes:
         bench: folder of the benchmark.
         out: folder of the rows.
         split: the chosen split, None for all.
-        limit: most trajectories.
+        limit: largest number of trajectories.
         vertices: resample first meshes to so many vertices; None leaves them.
-        workers: processes.
-        ray: address of Ray, which is to track; worker processes by default.
+        workers: number of processes.
+        ray: address of the Ray cluster to track on; worker processes by default.
         device: "cpu" or "cuda:0".
-        smoke: whether this only shows that everything runs.
+        smoke: whether this is a smoke run.
     """
 
     bench: Path
@@ -74,16 +74,16 @@ class Setup:
     smoke: bool = False
 
     def trajectories(self, split: str | None = None) -> list[Trajectory]:
-        """The trajectories of the chosen split, or of another one."""
+        """Return the trajectories of the chosen split, or of another one."""
         return trajectories(self.bench, split or self.split, self.limit)
 
     def variant(
         self, name: str, config: RunConfig | str = "default", method: str = "", **changes: object
     ) -> Variant:
-        """Return a variant; small enough in a smoke run.
+        """Return a variant, which is small in a smoke run.
 
         Args:
-            name: as the tables call it.
+            name: name in the tables.
             config: settings, or the name of a mode or of one of the paper's ablations.
             method: name of a method of `shared.ablations`; that of the settings' mode by default.
             changes: to other fields of the variant.
@@ -96,7 +96,7 @@ class Setup:
         return replace(Variant(name, config, method, vertex_count=self.vertices), **changes)
 
     def filmed(self, label: str, config: EpisodeConfig | None = None) -> list[Trajectory]:
-        """Trajectories filmed for this experiment alone, half of them towels; made where missing.
+        """Return trajectories recorded for this experiment, half of them towels; make missing ones.
 
         The seeds are the same for every `label`: same cloth, same actions, another `config`.
         """
@@ -111,11 +111,11 @@ class Setup:
 
     @property
     def world(self) -> EpisodeConfig:
-        """How an experiment's own trajectories are filmed, before it changes a setting."""
+        """Configuration of an experiment's own recordings, before it changes a setting."""
         return SMALL_WORLD if self.smoke else EpisodeConfig()
 
     def rows(self, experiment: str, runs: Sequence[Run]) -> list[Row]:
-        """Make the runs that are missing; every row with its labels."""
+        """Make the missing runs; return every row with its labels."""
         tasks = [
             Task(trajectory, variant, self.out / "runs", self.device)
             for trajectory, variant in runs
@@ -142,7 +142,7 @@ Plan = Callable[[Setup], list[Run]]
 def run_experiment(
     name: str, description: str, plan: Plan, arguments: Sequence[str] | None = None
 ) -> int:
-    """Plan, track what is missing, write the rows, print the tables; returns the exit code."""
+    """Plan, track missing runs, write the rows and print the tables; return the exit code."""
     options = parse(description, arguments)
     quiet_warp()
     logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR)
@@ -198,7 +198,7 @@ def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespa
 
 
 def _only(runs: Sequence[Run], names: Sequence[str]) -> list[Run]:
-    """Runs of the variants of these names; what names none is the beginning of some."""
+    """Return runs of the variants of these names; what names none is the beginning of some."""
     all_names = {variant.name for _, variant in runs}
     wanted = {
         one

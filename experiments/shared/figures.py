@@ -1,4 +1,4 @@
-"""Where an experiment's figures go, and how they look: terminal, files, pictures."""
+"""Output and style of an experiment's figures: terminal, files and pictures."""
 
 import json
 import sys
@@ -49,7 +49,7 @@ def _finite(value: object) -> object:
 
 
 def plot_style(*, title_size: float) -> dict[str, Any]:
-    """The report's colors and plain frames, for matplotlib's `rc_context`.
+    """Return the report's colors and plain frames, for matplotlib's `rc_context`.
 
     Args:
         title_size: of the panels' titles [points].

@@ -1,4 +1,4 @@
-"""Other first meshes for a recording: coarser or finer, nearer to the truth or farther from it."""
+"""Other first meshes for a recording: coarser or finer, nearer to or farther from the truth."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from clothtrack.recordings import Recording
 
 
 def resampled(recording: Recording, vertex_count: int) -> Recording:
-    """The recording with its template drawn on another triangulation of the same garment.
+    """Return the recording with its template drawn on another triangulation of the same garment.
 
     Every new vertex lies on the template's own surface, at the material point of its canonical
     coordinates: misplacement, scale and noise stay what they were, and no truth is asked.
@@ -30,9 +30,10 @@ def resampled(recording: Recording, vertex_count: int) -> Recording:
 
 
 def with_first_mesh_error(recording: Recording, truth: Truth, factor: float) -> Recording:
-    """The recording with its template this many times as far from the truth; 0 is the truth.
+    """Return the recording with its template this many times as far from the truth; 0 is the truth.
 
-    A control, because it reads the truth: what would a better or worse first mesh cost?
+    This is a control, because it reads the truth. It measures the effect of a better or worse first
+    mesh.
 
     Raises:
         InvalidConfigError: when the template has no canonical coordinates.

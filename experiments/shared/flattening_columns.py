@@ -1,4 +1,4 @@
-"""The columns of the flattening table, its curve over actions, and what the targets ask."""
+"""The columns of the flattening table, its curve over actions, and its targets."""
 
 from collections.abc import Mapping, Sequence
 
@@ -48,7 +48,7 @@ PRETRAINED, TUNED, BOUND = "pretrained", "fine-tuned", "control: truth, simulato
 
 
 def curve_values(rows: Sequence[Row], variant: str) -> tuple[list[int], list[float]]:
-    """Actions of a method, and the mean normalized improvement after each."""
+    """Return actions of a method, and the mean normalized improvement after each."""
     of: dict[int, list[float]] = {}
     for row in rows:
         if row["variant"] == variant:
@@ -58,7 +58,7 @@ def curve_values(rows: Sequence[Row], variant: str) -> tuple[list[int], list[flo
 
 
 def curve(rows: Sequence[Row], variants: Sequence[str]) -> str:
-    """Mean normalized improvement after each action; an episode that ended stays where it was."""
+    """Return the mean normalized improvement after each action; ended episodes keep their last."""
     actions = sorted({int(row["action"]) for row in rows})
     lines = []
     for variant in variants:
@@ -68,7 +68,7 @@ def curve(rows: Sequence[Row], variants: Sequence[str]) -> str:
 
 
 def promises(rows: Sequence[Row], variants: Sequence[str]) -> str:
-    """How well each dynamics orders actions by what they gain, per policy that chose them."""
+    """Return how well each dynamics ranks actions by gain, per policy that chose them."""
     policies = list(dict.fromkeys(str(row["policy"]) for row in rows if "policy" in row))
     lines = []
     for variant in variants:
@@ -85,7 +85,7 @@ def promises(rows: Sequence[Row], variants: Sequence[str]) -> str:
 
 
 def targets(rows: Sequence[Row]) -> str:
-    """The fine-tuned network against the pretrained one and the upper bound, on shared starts."""
+    """Return the fine-tuned network against pretrained one and upper bound, on shared starts."""
     values = {
         name: IMPROVEMENT.values(row for row in rows if row["variant"] == name)
         for name in (PRETRAINED, TUNED, BOUND)

@@ -1,7 +1,7 @@
-"""A full disk and a read-only folder, for every verb that writes: one line, and nothing is harmed.
+"""Test every writing verb on a full disk and a read-only folder: one line, and no damage.
 
-Disks are mounted where root may mount: a small tmpfs, which for the second is mounted read-only.
-Elsewhere a full disk is imitated by a limit on the size of files, and a read-only one is left out.
+If root may mount, the disks are small tmpfs mounts, the second of them read-only. Otherwise a full
+disk is imitated by a limit on the size of files, and the read-only one is left out.
 """
 
 import shutil
@@ -27,7 +27,7 @@ SMALLEST = 2 * PAGE
 
 
 def case(number: int, seed: int, stage: Path, box: Path) -> dict:
-    """One verb on a disk that gets full at a seeded moment, or on a read-only one.
+    """Return one verb on a disk that gets full at a seeded moment, or on a read-only one.
 
     The first `COUNT` cases are full disks, the next as many read-only ones, and so on.
     """
@@ -73,27 +73,27 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
 
 
 def _fill(verb: object, stage: Path, out: Path) -> None:
-    """What is there before: a file of somebody else, and what the verb changes."""
+    """Write the files present before the run: a foreign file, and what the verb changes."""
     (out / MINE).write_text("mine")
     if verb.copied is not None:
         shutil.copytree(stage / verb.copied[0], out / verb.copied[1])
 
 
 def _input_size(stage: Path, verb: object) -> int:
-    """Room that copied inputs take on a disk of pages [bytes]."""
+    """Return room that copied inputs take on a disk of pages [bytes]."""
     if verb.copied is None:
         return 0
     return _pages(stage / verb.copied[0])
 
 
 def _pages(folder: Path) -> int:
-    """Room that the files of a folder take on a tmpfs [bytes]."""
+    """Return room that the files of a folder take on a tmpfs [bytes]."""
     sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
     return sum(-(-size // PAGE) * PAGE for size in sizes)
 
 
 def _size(box: Path, verb: object, stage: Path) -> int:
-    """Room that the results of an undisturbed run take [bytes]; measured once."""
+    """Return room that the results of an undisturbed run take [bytes]; measured once."""
     kept = box / "undisturbed" / "sizes" / verb.name.replace(" ", "_")
     if not kept.exists():
         out = box / "out"
@@ -106,7 +106,7 @@ def _size(box: Path, verb: object, stage: Path) -> int:
 
 @contextmanager
 def mounted(folder: Path, size: int) -> Iterator[bool]:
-    """A disk of its own at a folder; False where nobody lets us mount one."""
+    """Yield whether a separate disk could be mounted at a folder."""
     try:
         _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
     except (OSError, subprocess.CalledProcessError):
@@ -123,12 +123,12 @@ def _mount(*words: str) -> None:
 
 
 def violates(row: dict) -> bool:
-    """Whether a case shows a defect."""
+    """Return whether a case shows a defect."""
     return "left out" not in row and not all(row[check] for check in CHECKS)
 
 
 def markdown(rows: list[dict]) -> str:
-    """A line per kind of disk."""
+    """Return a line per kind of disk."""
     lines = ["| disk | cases | the work fitted | " + " | ".join(CHECKS) + " | left out |",
              "|---|---:|---:|" + "---:|" * (len(CHECKS) + 1)]  # fmt: skip
     for disk in ("full", "read-only"):

@@ -38,9 +38,9 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
     """Damage one input and have a verb read it; a row with the outcome.
 
     Args:
-        number: of the case; kinds take turns.
-        seed: of the proof.
-        stage: the small world; nobody may change it.
+        number: number of the case; kinds take turns.
+        seed: seed of the proof.
+        stage: folder of the small world, which is read-only.
         box: folder of cases.
     """
     kind = list(KINDS)[number % len(KINDS)]
@@ -75,7 +75,7 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
 
 
 def outcome(trial: Trial, verb: str) -> str:
-    """What became of a case: "accepted", "refused", or what is wrong with it."""
+    """Return the outcome of a case: "accepted", "refused", or what is wrong with it."""
     text, count = "\n".join(trial.complaints), len(trial.complaints)
     longest = max(map(len, trial.complaints), default=0)
     silent_least = 0 if verb in SILENT else 1
@@ -96,12 +96,12 @@ def outcome(trial: Trial, verb: str) -> str:
 
 
 def violates(row: dict) -> bool:
-    """Whether a case shows a defect."""
+    """Return whether a case shows a defect."""
     return row["outcome"] not in ("accepted", "refused")
 
 
 def markdown(rows: list[dict]) -> str:
-    """A line per kind of input."""
+    """Return a line per kind of input."""
     lines = [
         "| input | cases | refused in one line | accepted | violations | slowest | most memory |",
         "|---|---:|---:|---:|---:|---:|---:|",

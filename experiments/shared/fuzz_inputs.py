@@ -1,7 +1,7 @@
 """Damaged inputs of every kind, and a command line that reads each.
 
 Each function makes one case in a folder, from the small world of `proof_stage`, and gives the words
-after `clothtrack`. They run in the child: what they compute is nobody else's.
+after `clothtrack`. They run in the child, so the parent computes nothing.
 """
 
 import json

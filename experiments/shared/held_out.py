@@ -1,4 +1,4 @@
-"""What is learned from and what is measured on, and that no recording is both."""
+"""Training and test recordings, with a check that no recording is both."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -16,7 +16,7 @@ the paper."""
 
 
 def measured_on(bench: Path, split: str, held_out: int | None = None) -> list[Trajectory]:
-    """The trajectories of a benchmark folder to measure on.
+    """Return the trajectories of a benchmark folder to measure on.
 
     Args:
         bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.

@@ -1,4 +1,4 @@
-"""`kill -9` at a seeded moment, then the same command again: what is lost, and what differs.
+"""Test `kill -9` at a seeded moment, followed by the same command: what is lost or differs.
 
 Half of the kills come after a share of the CPU time of an undisturbed run, the others before one of
 its changes of the file system, where a file may be half-written.
@@ -70,7 +70,7 @@ def case(number: int, seed: int, stage: Path, box: Path, names: tuple[str, ...] 
 
 
 def undisturbed(verb: Verb, stage: Path, box: Path) -> dict[str, Any]:
-    """What a run that nobody kills costs and leaves; kept beside the cases."""
+    """Return cost and results of an uninterrupted run; they are stored next to the cases."""
     # Another state of the code may leave other bits.
     newest = max(path.stat().st_mtime_ns for path in SOURCES.rglob("*.py"))
     name = verb.name.replace(" ", "_").replace("/", "")
@@ -89,7 +89,7 @@ def undisturbed(verb: Verb, stage: Path, box: Path) -> dict[str, Any]:
 
 
 def markdown(rows: list[dict]) -> str:
-    """A line per verb: how many of its kills passed each check."""
+    """Return a line per verb: how many of its kills passed each check."""
     lines = [
         "| verb | cases | killed | " + " | ".join(CHECKS) + " | finished files made again |",
         "|---|---:|---:|" + "---:|" * (len(CHECKS) + 1),
@@ -105,12 +105,12 @@ def markdown(rows: list[dict]) -> str:
 
 
 def violates(row: dict) -> bool:
-    """Whether a case shows a defect."""
+    """Return whether a case shows a defect."""
     return not all(row[check] for check in CHECKS)
 
 
 def _is_document(path: Path) -> bool:
-    """Whether a file grows with the work: a list, or the state of a training or an episode."""
+    """Return whether a file grows with the work: a list, or a state of training or episode."""
     if path.name in ("bench.json", "states.json", "episode.json", "improvement.json", "README.md",
                      "model_card.md", "best.safetensors", "recording.json"):  # fmt: skip
         if path.suffix == ".json":
@@ -120,7 +120,7 @@ def _is_document(path: Path) -> bool:
 
 
 def _times(out: Path) -> dict[str, int]:
-    """When each result was written [ns]."""
+    """Return when each result was written [ns]."""
     return {
         path.relative_to(out).as_posix(): path.stat().st_mtime_ns
         for path in out.rglob("*")
@@ -129,7 +129,7 @@ def _times(out: Path) -> dict[str, int]:
 
 
 def _refused_whole(verb: Verb, again: Trial, whole: bool) -> bool:
-    """Whether a verb that replaces nothing found its result whole, and said so in one line."""
+    """Return whether a verb that replaces nothing refused a complete result in one line."""
     return not verb.keeps and whole and again.code == 1 and len(again.complaints) == 1
 
 

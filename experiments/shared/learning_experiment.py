@@ -7,8 +7,8 @@
                         of each garment's trajectories is, or the last --held-out N
     --smoke             small towels, a tiny network made on the spot: does everything run?
 
-Tracked runs and rows are kept by the hash of their settings, and shared with the experiments over
-the benchmark. What is printed is what `tables.py` rebuilds from the rows.
+Tracked runs and rows are stored by the hash of their settings, and shared with the experiments over
+the benchmark. The printed tables are those that `tables.py` rebuilds from the rows.
 """
 
 import argparse
@@ -69,7 +69,7 @@ class LearningSetup:
     held_out_count: int | None = None
 
     def held_out(self, kind: str) -> list[Trajectory]:
-        """The trajectories to measure on."""
+        """Return the trajectories to measure on."""
         bench, split = self.tracking.bench, self.tracking.split
         if self.tracking.smoke:
             # One folder without splits; what else has been filmed there comes after these.
@@ -79,7 +79,7 @@ class LearningSetup:
         return [one for one in found if one.kind == kind][: self.limit]
 
     def tracked(self, chosen: Sequence[Trajectory], variant: Variant) -> list[Task]:
-        """Finished runs of these trajectories; tracked where they are not kept.
+        """Return finished runs of these trajectories; tracked where they are not kept.
 
         A trajectory that cannot be tracked is left out, and said so.
         """
@@ -95,7 +95,7 @@ class LearningSetup:
         return [task for task in tasks if task.file.exists()]
 
     def rows(self, experiment: str, how: Reconstructor, chosen: Sequence[Trajectory]) -> list[Row]:
-        """One row per action of each trajectory, with its labels."""
+        """Return one row per action of each trajectory, with its labels."""
         default = self.tracking.variant("default", "default")
         runs = {task.trajectory.name: task for task in self.tracked(chosen, default)}
         store = self.tracking.out / "reconstructions"
@@ -140,7 +140,7 @@ def run_learning(
 
 
 def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
-    """What the command line asks for; in a smoke run, made on the spot."""
+    """Return what the command line asks for; in a smoke run, made on the spot."""
     bench = options.bench or temporary
     out = options.out or bench / "experiments"
     tracking = Setup(
@@ -161,7 +161,7 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
 
 
 def weights_of_garments(paths: Sequence[Path], bench: Path) -> dict[str, Path]:
-    """The weights for every garment that they are for.
+    """Return the weights for every garment that they are for.
 
     Args:
         paths: files of weights; those of the token network serve each garment of the benchmark that
@@ -179,7 +179,7 @@ def weights_of_garments(paths: Sequence[Path], bench: Path) -> dict[str, Path]:
 
 
 def tiny_network(path: Path, kind: str = "towel") -> Path:
-    """A network that has learned nothing, small enough for a smoke run."""
+    """Return a network that has learned nothing, small enough for a smoke run."""
     import torch
 
     if not path.exists():
@@ -216,7 +216,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def refined(how: Reconstructor, name: str) -> Reconstructor:
-    """The same with fine-tuning at test time."""
+    """Return the same with fine-tuning at test time."""
     return replace(how, name=name, refined=True)
 
 

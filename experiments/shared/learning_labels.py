@@ -1,4 +1,4 @@
-"""What a network is fine-tuned on: tracked meshes, the truth, the truth made wrong, simulation."""
+"""Labels for fine-tuning: tracked meshes, the truth, the truth with errors, simulation."""
 
 import hashlib
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def tracked_labels(task: Task) -> LabeledRecording:
 
 
 def true_labels(task: Task) -> LabeledRecording:
-    """The same frames on the same vertices, each where its piece of cloth really is."""
+    """Return the same frames on the same vertices, each where its piece of cloth really is."""
     trajectory = task.trajectory
     recording, truth = read_recording(trajectory.recording), Truth.load(trajectory.truth)
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
@@ -45,7 +45,7 @@ def true_labels(task: Task) -> LabeledRecording:
 
 
 def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabeledRecording:
-    """The true labels moved along the table, smoothly over the garment; the flat start stays right.
+    """Return the true labels with smooth errors along the table; the flat start stays right.
 
     Args:
         task: a run that lies in its store, for the frames and the vertices.
@@ -65,7 +65,7 @@ def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabeledRecordi
 
 
 def simulated_labels(task: Task, *, seed: int = 0) -> LabeledRecording:
-    """The meshes of a run drawn as the network's pretraining draws states: exact labels.
+    """Return the meshes of a run drawn as the network's pretraining draws states: exact labels.
 
     Args:
         task: a run of the dynamics alone that lies in its store.
@@ -83,21 +83,21 @@ def simulated_labels(task: Task, *, seed: int = 0) -> LabeledRecording:
 def _smooth_field(
     places: Float[np.ndarray, "vertices 3"], rng: np.random.Generator
 ) -> Float[np.ndarray, "vertices 2"]:
-    """A random horizontal displacement that varies over `SMOOTH_M`: sixteen waves."""
+    """Return a random horizontal displacement that varies over `SMOOTH_M`: sixteen waves."""
     waves = rng.normal(0.0, 1.0 / SMOOTH_M, (3, 16))
     phases = rng.uniform(0.0, 2.0 * np.pi, 16)
     return np.cos(places @ waves + phases) @ rng.normal(size=(16, 2))
 
 
 def label_mesh(task: Task, frame: int) -> ClothMesh | None:
-    """The tracker's mesh at a frame that ended an action; None when it labeled another."""
+    """Return the tracker's mesh at a frame that ended an action; None when it labeled another."""
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
     found = [label.vertices for label in labels if label.frame == frame]
     return mesh.with_vertices(np.asarray(found[0], np.float64)) if found else None
 
 
 def digest_of(labels: Sequence[LabeledRecording]) -> str:
-    """Ten hexadecimal digits that change with any picture or label."""
+    """Return ten hexadecimal digits that change with any picture or label."""
     content = hashlib.sha256()
     for one in labels:
         content.update(f"{one.name} {one.kind} {one.frames}".encode())

@@ -1,4 +1,4 @@
-"""The row of one reconstruction: the cloud, the pseudo-label and the truth, up to symmetry too."""
+"""The row of one reconstruction against cloud, pseudo-label and truth, also up to symmetry."""
 
 from dataclasses import dataclass
 
@@ -32,13 +32,13 @@ ON_CLOTH_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One frame that is reconstructed, and what it is judged by.
+    """One frame to reconstruct, with the data to score it.
 
     Attributes:
         recording: the recording.
         truth: the true meshes, with canonical coordinates.
-        frame: of the recording.
-        kind: the garment.
+        frame: frame of the recording.
+        kind: kind of garment.
         label: the tracker's mesh at that frame, where there is one.
     """
 
@@ -50,7 +50,7 @@ class Case:
 
 
 def measure_reconstruction(found: NetworkMesh, case: Case) -> Row:
-    """Every measure of one reconstruction; those of a mesh are missing where there is none."""
+    """Return every measure of one reconstruction; without a mesh its measures are missing."""
     row: Row = {
         "frame": case.frame,
         "status": found.reconstruction.status,
@@ -100,10 +100,10 @@ def measure_reconstruction(found: NetworkMesh, case: Case) -> Row:
 
 
 def vertex_errors(mesh: ClothMesh, case: Case) -> tuple[dict, dict]:
-    """Vertices against their true places, as the mesh names them, and as it names them best.
+    """Return vertex errors under the mesh's own correspondences, and under its best symmetry.
 
-    Best is the look-alike labeling with the least mean error, one for the mesh as a whole. A towel
-    has its longer side along x in both, whatever its own coordinates say.
+    The best symmetry is the one with the least mean error for the whole mesh. In both cases a towel
+    has its longer side along x, regardless of its own coordinates.
 
     Returns:
         For each: summaries for "all", "visible" and "hidden" [mm].
@@ -117,7 +117,7 @@ def vertex_errors(mesh: ClothMesh, case: Case) -> tuple[dict, dict]:
 
 
 def canonical_errors(seen: SeenPoints, case: Case) -> Row:
-    """Canonical coordinates of measured points against the true ones [mm].
+    """Return canonical coordinates of measured points against the true ones [mm].
 
     A point's true coordinates are those of the nearest place on the part of the true cloth that the
     camera sees.
@@ -153,7 +153,7 @@ def _cameras(case: Case) -> list:
 def where_in(
     truth: Truth | ClothMesh, mesh: ClothMesh, kind: str, signs: Float[np.ndarray, " 3"]
 ) -> tuple:
-    """The pieces of the true cloth that the vertices are, under one look-alike labeling."""
+    """Return the positions of the vertices on the true cloth under one symmetry."""
     canonical = conventional(np.asarray(truth.canonical, np.float64), kind)
     own = conventional(np.asarray(mesh.canonical, np.float64), kind)
     return material_map(canonical, truth.faces, own * signs)

@@ -1,9 +1,9 @@
 """Runs of an experiment with the network: fine-tunings and reconstructions, kept and shared.
 
-A fine-tuned network is kept under the hash of what it was trained from: the weights it began with,
-every label, every setting. The rows of a reconstructed trajectory are kept under the hash of the
-weights, the trajectory and the way of reconstructing. So experiments share what they have in
-common, and a broken one goes on where it stopped, in the middle of a training too.
+A fine-tuned network is stored under the hash of its training inputs: the initial weights, every
+label and every setting. The rows of a reconstructed trajectory are stored under the hash of the
+weights, the trajectory and the method of reconstruction. So experiments share common results, and
+an interrupted one resumes, even in the middle of a training.
 """
 
 import hashlib
@@ -96,7 +96,7 @@ class Tuner:
     device: str = "cpu"
 
     def tuned(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
-        """The weights after fine-tuning on these labels; trained where they are not kept.
+        """Return the weights after fine-tuning on these labels; trained where they are not kept.
 
         Raises:
             InvalidConfigError: the training was interrupted.
@@ -138,7 +138,7 @@ class Tuner:
         return with_settings(config, own)
 
     def folder(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
-        """Where the network is kept that begins with these weights and learns from these labels."""
+        """Return the folder of the network trained from these weights on these labels."""
         config = self.config_of(load_weights(start))
         settings: dict[str, object] = {
             "start": content_digest(start),
@@ -153,7 +153,7 @@ def _is_loop(value: object) -> bool:
 
 
 def content_digest(path: Path) -> str:
-    """Ten hexadecimal digits of a file's content."""
+    """Return ten hexadecimal digits of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:10]
 
 
@@ -163,7 +163,7 @@ def _digest(settings: object) -> str:
 
 
 def kind_of(weights: Path) -> str:
-    """The garment that weights are for.
+    """Return the garment that weights are for.
 
     Raises:
         InvalidResultError: they are missing or damaged.
@@ -178,10 +178,10 @@ def reconstruct_frame(
     kind: str,
     how: Reconstructor,
 ) -> NetworkMesh:
-    """What the network makes of one frame of a recording.
+    """Return the network's mesh for one frame of a recording.
 
-    The token network is told the garment, as in its use: by the recording's own template
-    where it has one. The published network knows the kind alone.
+    The token network is given the garment as in its normal use, by the recording's own template if
+    it has one. The published network is given only the kind.
     """
     depth, mask, camera = cloth_picture(recording, recording.frames[frame])
     told = recording.cloth.template if isinstance(model, TokenMeshes) else None
@@ -198,7 +198,7 @@ def reconstruct_frame(
 def reconstruction_rows(
     trajectory: Trajectory, how: Reconstructor, store: Path, *, label: Task | None = None
 ) -> list[Row]:
-    """The rows of a trajectory's actions, each reconstructed from its last frame alone.
+    """Return the rows of a trajectory's actions, each reconstructed from its last frame alone.
 
     Args:
         trajectory: recording and truth.

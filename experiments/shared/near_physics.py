@@ -1,7 +1,8 @@
 """Physics around the default: each number of the solver within three times or a third of its own.
 
-What people use lies here. The three promises of `random_physics` are judged on the same cloth, with
-the same pick, drag and drop; only the speed limit is out of the way, since it would hide a gain.
+Practical settings are in this range. The three conditions of `random_physics` are checked on the
+same cloth with the same pick, drag and drop. Only the speed limit is off, because it would hide an
+energy gain.
 """
 
 import math
@@ -39,7 +40,7 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
 
 
 def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, float]]:
-    """Settings of the solver and of the material, near their defaults."""
+    """Return settings of the solver and of the material, near their defaults."""
     from clothtrack.simulation import ClothParameters, SolverConfig
 
     def near(usual: float) -> float:

@@ -1,9 +1,9 @@
-"""The recordings that are spoilt, or changed without harm: drawn, simulated, shipped and real.
+"""Base recordings to corrupt, or to change without harm: drawn, simulated, shipped and real.
 
-Each is made once and kept as one file, its truth beside it. Drawn and simulated ones are known
-vertex by vertex. Of the hanging cloth only the surface was measured: its error is the distance of
-the mesh's vertices to the measured points, which is at most the true one. Of the napkins nothing is
-known but what the cameras saw: they are used for false alarms alone.
+Each is made once and stored as one file with its truth. Drawn and simulated ones have true
+vertices. For the hanging cloth only the surface was measured, so its error is the distance of the
+mesh's vertices to the measured points, which is at most the true one. For the napkins only the
+cameras' data are known, so they are used only for false alarms.
 """
 
 from collections.abc import Callable

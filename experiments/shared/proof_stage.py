@@ -34,7 +34,7 @@ MAKERS = Path(__file__).parents[2] / "tests" / "importing" / "makers.py"
 
 
 def settings(*changes: str) -> list[str]:
-    """Settings as words of the command line."""
+    """Return settings as words of the command line."""
     return [word for change in changes for word in ("--set", change)]
 
 
@@ -55,7 +55,7 @@ def small_garments() -> None:
 
 
 def makers() -> object:
-    """The module of the tests that writes recordings in the formats of other programs."""
+    """Return the module of the tests that writes recordings in the formats of other programs."""
     if "import_makers" not in sys.modules:
         spec = importlib.util.spec_from_file_location("import_makers", MAKERS)
         assert spec is not None

@@ -46,7 +46,7 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
 
 
 def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, float]]:
-    """Settings of the solver and of the material."""
+    """Return settings of the solver and of the material."""
 
     def value(limits: tuple[float, float], *, nothing: bool) -> float:
         number = float(np.exp(rng.uniform(*np.log(limits))))
@@ -110,7 +110,7 @@ def rolled_out(config: dict[str, Any], material: dict[str, float]) -> dict:
 
 
 def energy(solver: Any) -> float:
-    """Energy of motion and of height [J] of the only environment."""
+    """Return the energy of motion and of height [J] of the only environment."""
     masses = solver.mesh.vertex_areas * solver.config.area_density
     positions = solver.positions[0].astype(np.float64)
     velocities = solver.velocities[0].astype(np.float64)
@@ -119,7 +119,7 @@ def energy(solver: Any) -> float:
 
 
 def stored(solver: Any) -> float:
-    """The most energy [J] that the threads of the only environment can turn into motion.
+    """Return the most energy [J] that the threads of the only environment can turn into motion.
 
     A thread that is x too long stores x^2 / 2 over its compliance. A thread that gives less than
     its ends move in a step (h^2 over their mass) is let go by what one step can: XPBD moves its
@@ -145,12 +145,12 @@ def stored(solver: Any) -> float:
 
 
 def violates(row: dict) -> bool:
-    """Whether a case shows a defect."""
+    """Return whether a case shows a defect."""
     return not row["finite"] or row["gained"] > GAIN or row["depth_over_thickness"] > 1.0
 
 
 def markdown(rows: list[dict]) -> str:
-    """What held, over all cases."""
+    """Return what held, over all cases."""
     finite = [row for row in rows if row["finite"]]
     gained = sum(row["gained"] > GAIN for row in finite)
     deep = sum(row["depth_over_thickness"] > 1.0 for row in finite)

@@ -20,7 +20,7 @@ GAP = 3
 def depth_picture(
     depth_m: Float[np.ndarray, "height width"], mask: Bool[np.ndarray, "height width"]
 ) -> Picture:
-    """The measured cloth, near is light; cut to what is around it."""
+    """Return the measured cloth, near is light; cut to what is around it."""
     shown = mask & (depth_m > 0)
     if not shown.any():
         return blank("no cloth")
@@ -33,7 +33,7 @@ def depth_picture(
 
 
 def mesh_picture(mesh: ClothMesh | None, camera: Camera, table: Table | None, why: str) -> Picture:
-    """The mesh from a camera of this size; without one, why there is none."""
+    """Return the mesh from a camera of this size; without one, why there is none."""
     if mesh is None:
         return blank(why)
     shader = Shader(mesh.faces, camera, table=table, config=ShadingConfig(supersampling=2))
@@ -41,7 +41,7 @@ def mesh_picture(mesh: ClothMesh | None, camera: Camera, table: Table | None, wh
 
 
 def blank(words: str) -> Picture:
-    """Paper with a few words."""
+    """Return a blank picture with a few words."""
     paper = np.full((HEIGHT, WIDTH, 3), rgb255(PAPER), np.uint8)
     for number, part in enumerate(words.split(": ")):
         write(paper, part[:28], (6, 24 + 16 * number), height_px=9.0)
@@ -49,7 +49,7 @@ def blank(words: str) -> Picture:
 
 
 def framed(picture: Picture) -> Picture:
-    """A picture of any size in the middle of one of ours."""
+    """Return a picture of any size in the middle of one of ours."""
     scale = min(HEIGHT / picture.shape[0], WIDTH / picture.shape[1])
     size = max(1, int(picture.shape[1] * scale)), max(1, int(picture.shape[0] * scale))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
@@ -60,7 +60,7 @@ def framed(picture: Picture) -> Picture:
 
 
 def line(pictures: Sequence[Picture], words: tuple[str, str]) -> Picture:
-    """Pictures side by side, words over them."""
+    """Return pictures side by side, words over them."""
     gap = np.full((HEIGHT, GAP, 3), rgb255(PAPER), np.uint8)
     joined = np.hstack([part for each in pictures for part in (each, gap)][:-1])
     return np.vstack([caption(joined.shape[1], *words, height=22), joined])

@@ -1,7 +1,7 @@
 """A recording as plain arrays in memory: read, changed in any way, and written.
 
-It is written without the package's writer, which would refuse what a wrong recording holds: what is
-wrong is to be refused, or not, where a user's own folder would be.
+It is written without the package's writer, which would refuse the content of a wrong recording.
+Errors should be refused, or not, at the same point as for a user's own folder.
 """
 
 import copy
@@ -92,7 +92,7 @@ class RecordingData:
         return self.camera["width"] / 640.0
 
     def carried(self) -> tuple[int, int]:
-        """First and last frame of the first action in which a picker is closed."""
+        """Return first and last frame of the first action in which a picker is closed."""
         action = self.document["actions"][0]
         frames = np.arange(action["first_frame"], action["last_frame"] + 1)
         closed = np.zeros(len(frames), bool)
@@ -104,7 +104,7 @@ class RecordingData:
         return int(held[0]), int(held[-1])
 
     def copied(self) -> "RecordingData":
-        """A copy whose every part may be changed."""
+        """Return a copy whose every part may be changed."""
         return copy.deepcopy(self)
 
     def take(self, frames: np.ndarray) -> None:
@@ -173,7 +173,7 @@ class RecordingData:
 
     @classmethod
     def load(cls, file: Path) -> "RecordingData":
-        """What `save` has written."""
+        """Return what `save` has written."""
         with np.load(file) as stored:
             arrays = {name: stored[name] for name in stored.files}
         text = json.loads(str(arrays.pop("text")))
@@ -205,7 +205,7 @@ def _read_picker(file: Path) -> dict[str, np.ndarray]:
 
 
 def read_folder(folder: Path) -> RecordingData:
-    """A recording with one camera, or clouds, as it lies on disk; without a truth."""
+    """Return a recording with one camera, or clouds, as it lies on disk; without a truth."""
     document = json.loads((folder / "recording.json").read_text("utf-8"))
     frames, cloth = document["frames"], document["cloth"]
     data = RecordingData(document, moments=np.arange(len(frames)))

@@ -1,4 +1,4 @@
-"""How every experiment on real recordings calls the tracker: one recording, one named method."""
+"""The call of the tracker in all experiments on real recordings: one recording, one method."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""What a folder holds, in digests that two runs of the same work share.
+"""Digests of a folder's content that are equal for two runs of the same work.
 
-Left out is what may differ: CPU times, clocks, processes, and digests over these.
+Values that may differ are left out: CPU times, clocks, processes, and digests of these.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ PROGRESS = re.compile(r"events\.out\.tfevents|progress\.pt$|\.jsonl$")
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Digests of all results in a folder, by their names; what is hidden is none."""
+    """Return the digests of all results in a folder, by their names; what is hidden is none."""
     if folder.is_file():
         return {folder.name: digest(folder)}
     found = {}
@@ -57,13 +57,13 @@ def digest(path: Path) -> str:
 
 
 def hidden_in(folder: Path) -> list[str]:
-    """What is hidden and is not the measures that `evaluate` keeps."""
+    """Return hidden files other than the measures that `evaluate` keeps."""
     found = [path for path in folder.rglob(".*") if path.suffix != ".measured"]
     return sorted(str(path.relative_to(folder)) for path in found)
 
 
 def _text(array: bytes) -> bytes:
-    """An array of NumPy's that holds a JSON document, without what may differ; others as is."""
+    """Return a NumPy array with a JSON document without values that may differ; others as is."""
     import numpy as np
 
     values = np.load(io.BytesIO(array), allow_pickle=False)

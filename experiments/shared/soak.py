@@ -1,4 +1,4 @@
-"""Many trajectories tracked by one process: does it grow, slow down, or keep files open?"""
+"""Soak test: whether one process that tracks many recordings grows, slows or keeps files open."""
 
 import resource
 import shutil
@@ -27,7 +27,7 @@ def rows(count: int, seed: int, stage: Path, box: Path) -> list[dict]:
 
 
 def case(number: int, seed: int, stage: Path, box: Path) -> dict:
-    """The row after so many trajectories."""
+    """Return the row after so many trajectories."""
     return rows(number + 1, seed, stage, box)[-1]
 
 
@@ -59,12 +59,12 @@ def _tracked(count: int, stage: Path, place: Path) -> list[dict]:
 
 
 def violates(row: dict) -> bool:
-    """Whether the process grew, or kept something open, since it was warm."""
+    """Return whether the process grew, or kept something open, since it was warm."""
     return row["code"] != 0 or row["grown_mb"] > MOST_GROWTH_MB or row["more_files"] > WARM
 
 
 def markdown(measured: list[dict]) -> str:
-    """The process at a few moments."""
+    """Return the process at a few moments."""
     lines = ["| trajectories | memory | CPU time of all | open files | threads |",
              "|---:|---:|---:|---:|---:|"]  # fmt: skip
     total = 0.0

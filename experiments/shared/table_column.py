@@ -1,4 +1,4 @@
-"""One column of a table: which measure, of which rows, how it is written."""
+"""One column of a table: its measure, rows and format."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Column:
     spread: bool = False
 
     def values(self, rows: Iterable[Row]) -> dict[object, float]:
-        """Mean over the actions of each recording, by recording; unknown values left out."""
+        """Return the mean over the actions of each recording; unknown values are left out."""
         of: dict[object, list[float]] = {}
         for row in rows:
             value = row.get(self.key)
@@ -43,7 +43,7 @@ class Column:
         return {name: float(np.mean(each)) for name, each in of.items()}
 
     def cells(self, rows: Iterable[Row]) -> list[str]:
-        """The column's cells for one line: mean, and with spread also deviation and median."""
+        """Return the cells for one line: mean, and with spread also deviation and median."""
         values = np.array(list(self.values(rows).values()))
         if not len(values):
             return ["-"] * (2 if self.spread else 1)
@@ -60,6 +60,6 @@ class Column:
 
 
 def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     rule = ["---", *("---:" for _ in head[1:])]
     return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))

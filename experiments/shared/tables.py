@@ -1,4 +1,4 @@
-"""The tables of the experiments as Markdown: our numbers beside the paper's.
+"""The tables of the experiments as Markdown, with our numbers next to the paper's.
 
 One line per method. Of the leading measures: mean and standard deviation over the recordings (each
 the mean of its actions), median, and how many. Chamfer distances are squared means of both
@@ -103,7 +103,7 @@ _PAIRED = {**LEARNING_PAIRED, **FLATTENING_PAIRED}
 
 
 def markdown(experiment: str, rows: Sequence[Row]) -> str:
-    """The tables of one experiment as Markdown: means, pairs, actions, and what failed."""
+    """Return the tables of one experiment as Markdown: means, pairs, actions, and what failed."""
     good = [row for row in rows if "error" not in row]
     variants = list(dict.fromkeys(str(row["variant"]) for row in rows))
     parts = [f"## {TITLES[experiment]}", about(good)]
@@ -150,14 +150,14 @@ _BELOW: Mapping[str, Callable[[Sequence[Row], Sequence[str]], list[str]]] = {
 
 
 def _with_failures(parts: list[str], rows: Sequence[Row]) -> str:
-    """The parts of a text, and what failed."""
+    """Return the parts of a text, and what failed."""
     failed = [row for row in rows if "error" in row]
     text = [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
     return "\n\n".join(part for part in (*parts, *text) if part) + "\n"
 
 
 def about(rows: Sequence[Row]) -> str:
-    """How many recordings of which split, and at which commits and versions."""
+    """Return how many recordings of which split, and at which commits and versions."""
     names = dict.fromkeys((row["recording"], row["split"]) for row in rows)
     splits = sorted({str(split) for _, split in names if split})
     stamps = [row["provenance"] for row in rows if row.get("provenance")]
@@ -174,7 +174,7 @@ def about(rows: Sequence[Row]) -> str:
 
 
 def means(experiment: str, rows: Sequence[Row], variants: Sequence[str]) -> str:
-    """One line per variant: the paper's number, how many recordings, every column."""
+    """Return one line per variant: the paper's number, how many recordings, every column."""
     columns = COLUMNS[experiment]
     paper = PAPER.get(experiment, {})
     titles = [title for column in columns for title in column.titles]
@@ -196,7 +196,7 @@ def pairs(
     reference: str,
     columns: Sequence[Column] = PAIRED,
 ) -> str:
-    """Differences against the reference on the same recordings, and in how many it is lower."""
+    """Return differences to the reference on the same recordings, and in how many it is lower."""
     lines = []
     for variant in variants:
         if variant == reference:
@@ -221,7 +221,7 @@ def pairs(
 
 
 def differences(rows: Sequence[Row], variant: str, reference: str, column: Column) -> np.ndarray:
-    """The variant's value minus the reference's, per recording that both have."""
+    """Return the variant's value minus the reference's, per recording that both have."""
     ours, theirs = (
         column.values(row for row in rows if row["variant"] == name)
         for name in (variant, reference)
@@ -232,7 +232,7 @@ def differences(rows: Sequence[Row], variant: str, reference: str, column: Colum
 def by_action(
     rows: Sequence[Row], variants: Sequence[str], columns: Sequence[Column] | None = None
 ) -> str:
-    """Errors per action: how a method drifts."""
+    """Return errors per action, which show the drift of a method."""
     actions = sorted({int(row["action"]) for row in rows})
     lines = []
     for variant in variants:
@@ -245,7 +245,7 @@ def by_action(
 
 
 def by_garment(rows: Sequence[Row]) -> str:
-    """Errors per garment: two layers are another task than one."""
+    """Return errors per garment, because two layers are a different task than one."""
     kinds = sorted({str(row["kind"]) for row in rows})
     lines = []
     for variant in dict.fromkeys(str(row["variant"]) for row in rows):
@@ -261,7 +261,7 @@ _ALL = Column("all", "error_all_mm")
 
 
 def _groups(variants: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Variants called axis=value go by axis; the others stay together."""
+    """Return groups of variants: those called axis=value by axis, the others together."""
     groups: dict[str, list[str]] = {}
     for variant in variants:
         groups.setdefault(variant.partition("=")[0] if "=" in variant else "", []).append(variant)

@@ -1,7 +1,7 @@
-"""One command line in a forked child: what it says, writes and costs, and a kill at any moment.
+"""Run a command line in a forked child and record its output and cost, or kill it any time.
 
-What is imported before the fork is not imported again, so that thousands of runs are feasible. The
-parent must not have computed anything: threads do not survive a fork.
+Modules imported before the fork are not imported again, so that thousands of runs are feasible. The
+parent must not have computed anything, because threads do not survive a fork.
 """
 
 import ctypes
@@ -123,7 +123,7 @@ def run(
 
 
 def child_result(compute: Callable[[], Any], box: Path) -> Any:
-    """What a function computes in a child, as JSON carries it.
+    """Return what a function computes in a child, as JSON carries it.
 
     Raises:
         RuntimeError: the child ended without a result.
@@ -164,7 +164,7 @@ def _child(
     limits: Limits,
     before: Callable[[], None] | None,
 ) -> None:
-    """Never returns."""
+    """Run the child process; never return."""
     code = CRASHED
     watch = _Watch(limits)
     try:

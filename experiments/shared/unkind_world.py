@@ -1,4 +1,4 @@
-"""The world of the claim: one garment that no network knows, on a table as unkind as a lab's.
+"""The simulated world of the claim: one garment outside all training data, on a realistic table.
 
 In a third of the actions the cloth slips out of the gripper or the gripper takes the layer below
 too. Stiffness and both frictions lie beyond what the benchmark draws and between the values that
@@ -35,7 +35,7 @@ LEARNED_SEED, HELD_OUT_SEED = 0, 9000
 
 
 def unkind(garment: OneGarment) -> EpisodeConfig:
-    """How a garment is filmed."""
+    """Return how a garment is filmed."""
     usual = garment.config
     if usual.fabric is None or usual.template is None:
         raise InvalidConfigError(f"{garment.label} has no fabric or no first mesh; give both")
@@ -59,7 +59,7 @@ def unkind(garment: OneGarment) -> EpisodeConfig:
 def film(
     folder: Path, garment: OneGarment, count: int, seed: int, *, smoke: bool = False
 ) -> list[Trajectory]:
-    """Recordings of a garment, filmed where they are missing.
+    """Return recordings of a garment, filmed where they are missing.
 
     Args:
         folder: for `recordings/` and `truth/`.

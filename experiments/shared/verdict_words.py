@@ -1,4 +1,4 @@
-"""The words of verdicts against what is right: by word, and with one piece of evidence left out."""
+"""Verdicts against the truth: by word, and with one piece of evidence left out."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -7,18 +7,18 @@ from shared.bench_measures import Row
 
 
 def told(found: Verdict) -> Row:
-    """What a row keeps of a verdict."""
+    """Return what a row keeps of a verdict."""
     words = {one.name: one.word for one in found.evidence}
     return {"word": found.word, "reason": found.reason, "evidence": words}
 
 
 def of_each_word(rows: Sequence[Row]) -> Mapping[str, str]:
-    """How many rows of each word there are, and how many of these are right."""
+    """Return how many rows of each word there are, and how many of these are right."""
     return {f"{word}: right": _right(row for row in rows if row["word"] == word) for word in WORDS}
 
 
 def trusted_without(rows: Sequence[Row]) -> Mapping[str, str]:
-    """How many rows would be trusted, and how many of these are right, without each evidence."""
+    """Return how many rows would be trusted, and how many are right, without each evidence."""
     names = dict.fromkeys(name for row in rows for name in row.get("evidence", {}))
     return {
         f"trust without {left_out}: right": _right(

@@ -1,6 +1,6 @@
-"""Right recordings spoilt in one way each: the geometry that newcomers get wrong on the first day.
+"""Right recordings, each corrupted by one typical geometry error of new users.
 
-A spoilt recording is a copy on disk; its pictures are those of the right one.
+A corrupted recording is a copy on disk with the pictures of the right one.
 """
 
 import json

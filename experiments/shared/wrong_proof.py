@@ -1,9 +1,9 @@
-"""Whether wrong recordings are refused or doubted, and right ones trusted, case by case.
+"""Test case by case whether wrong recordings are refused or doubted, and right ones trusted.
 
-A case spoils one recording (`wrong`), or changes it without harm (`harmless`), tracks it as a user
-does and compares the verdict with the true error: that of the mesh at the end of every action and
-at the last frame, the worst of them. Truth is that of the real world: a wrong camera pose moves the
-mesh away from it.
+A case corrupts one recording (`wrong`), or changes it without harm (`harmless`), tracks it as a
+user does and compares the verdict with the true error. This is the worst error of the mesh at the
+end of every action and at the last frame. The truth is in the real world, so a wrong camera pose
+moves the mesh away from it.
 """
 
 import logging
@@ -65,13 +65,13 @@ class Proof:
             return {**row, "outcome": "did not end", "error": f"{error} ({CPU_S} CPU s at most)"}
 
     def violates(self, row: Row) -> bool:
-        """Whether a case shows a defect: a crash, a false trust or a false alarm."""
+        """Return whether a case shows a defect: a crash, a false trust or a false alarm."""
         if row["outcome"] in ("crashed", "did not end"):
             return True
         return false_trust(row) if self.wrong else false_alarm(row)
 
     def markdown(self, rows: Sequence[Row]) -> str:
-        """One line for each kind, and the totals."""
+        """Return one line for each kind, and the totals."""
         counted = "false trust" if self.wrong else "false alarm"
         lines = [
             f"| kind | cases | refused | reject | look | trust | {counted} | worst trusted, mm |",
@@ -110,14 +110,14 @@ class Proof:
 
 
 def false_trust(row: Row) -> bool:
-    """Whether a mesh is trusted, and wrong."""
+    """Return whether a mesh is trusted, and wrong."""
     if row.get("word") != "trust" or row["mean_mm"] is None:
         return False
     return row["mean_mm"] > WRONG_MEAN_MM or row["p95_mm"] > WRONG_P95_MM
 
 
 def false_alarm(row: Row) -> bool:
-    """Whether a right recording is refused, or its mesh is right and not trusted."""
+    """Return whether a right recording is refused, or its mesh is right and not trusted."""
     if row["outcome"] == "refused":
         return True
     if row.get("word") not in ("look", "reject") or row["mean_mm"] is None:
@@ -212,7 +212,7 @@ class _Errors:
         self._where = true_places(run, truth)
 
     def points(self, frame: int) -> np.ndarray | None:
-        """Where the tracked vertices really are [m]; None where a surface alone is known."""
+        """Return where the tracked vertices really are [m]; None where a surface alone is known."""
         from clothtrack.evaluation import material_points
 
         if self._where is None:
@@ -220,7 +220,7 @@ class _Errors:
         return material_points(self._truth[frame], self._faces, self._where)
 
     def each(self, frame: int, positions: np.ndarray) -> np.ndarray:
-        """The error of every vertex [m]; against a surface alone, its distance."""
+        """Return the error of every vertex [m]; against a surface alone, its distance."""
         points = self.points(frame)
         if points is None:
             return cKDTree(self._truth[frame]).query(positions)[0]

@@ -1,6 +1,6 @@
-"""Reduced pictures and recordings spoilt in memory, by a random strength, in one sense each.
+"""Reduced pictures and recordings with one input corrupted in memory by a random strength.
 
-The pictures on disk stay those of the right recording.
+The pictures on disk stay unchanged.
 """
 
 from collections.abc import Callable

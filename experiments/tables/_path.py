@@ -1,4 +1,4 @@
-"""Lets a script of this folder run by its path: imports are looked for beside the folders."""
+"""Path setup so that a script of this folder can run by its path."""
 
 import sys
 from pathlib import Path

@@ -1,11 +1,12 @@
-"""What clicks lose against a measured path: films of a hand in the simulated world, tracked twice.
+"""Compare clicks with a measured path on simulated recordings of a hand, each tracked twice.
 
     python experiments bare_hand --out out/bare_hand
 
-The world's tool is as thick as a hand and an arm, and hides the cloth as they do. Every film is
-tracked with the path that the world recorded, and with one from clicks at the true picks and
-places, off by some pixels and up to three frames. The tables go into docs/bare_hand.md. `--films 2`
-stops after two, each row is written when it is there; `--smoke` films one small towel.
+The world's tool is as thick as a hand and an arm, and hides the cloth in the same manner. Every
+recording is tracked with the path that the world recorded, and with one from clicks at the true
+picks and places, off by some pixels and up to three frames. The tables go into docs/bare_hand.md.
+`--films 2` stops after two recordings, and each row is written when it is finished; `--smoke`
+records one small towel.
 """
 
 import argparse
@@ -50,7 +51,7 @@ CLICK_NOISE_FRAMES = 3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Film what is missing, click, track every film twice, and write the tables."""
+    """Record missing ones, click, track every recording twice, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for films, runs and rows")
     parser.add_argument("--smoke", action="store_true", help="one small towel, uncalibrated")
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def filmed(out: Path, kind: str, seed: int, *, smoke: bool) -> Path:
-    """A film of a hand at work; what is there already is kept."""
+    """Return a recording of a hand; an existing one is kept."""
     folder = out / "recordings" / f"{kind}_{seed:04d}"
     if not folder.exists():
         rng = np.random.default_rng(seed)
@@ -95,7 +96,7 @@ def filmed(out: Path, kind: str, seed: int, *, smoke: bool) -> Path:
 
 
 def click(film: Path, target: Path, seed: int) -> tuple[ClickedAction, ...]:
-    """A copy of a film whose path comes from noisy clicks at the true picks and places."""
+    """Make a copy of a recording with a path from noisy clicks at the true picks and places."""
     recording = ct.read_recording(film)
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(film, target, copy_function=_link)
@@ -123,7 +124,7 @@ def holds(path: ct.PickerPath) -> list[tuple[int, int]]:
 
 
 def path_rows(film: Path, actions: Sequence[ClickedAction]) -> list[dict[str, Any]]:
-    """How far the path of each action is from the true one, with and without the cloth's word."""
+    """Return the error of each action's path, with and without the fit to the cloth."""
     recording = ct.read_recording(film)
     path, times = recording.picker_paths["gripper"], [f.time_s for f in recording.frames]
     rows = []
@@ -152,7 +153,7 @@ def path_rows(film: Path, actions: Sequence[ClickedAction]) -> list[dict[str, An
 
 
 def tracked_errors(folder: Path, out: Path, name: str, settings: Sequence[str]) -> list[float]:
-    """Mean error of all vertices against the truth after each action [mm]; runs are kept."""
+    """Return the mean vertex error after each action [mm]; runs are kept."""
     result = out / name / f"{folder.name}.zarr"
     if not result.exists():
         result.parent.mkdir(parents=True, exist_ok=True)
@@ -166,7 +167,7 @@ def tracked_errors(folder: Path, out: Path, name: str, settings: Sequence[str]) 
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """The rows as a table, and their means."""
+    """Return the rows as a table, and their means."""
     names = list(rows[0])
     lines = [[str(row[name]) for name in names] for row in rows]
     numbers = [name for name in names if name.endswith("_mm")]

@@ -1,11 +1,11 @@
-"""Calibration online, per action, against offline, once for all.
+"""Compare online calibration per action with offline calibration once for all.
 
 Claim judged: parameters found on the action that is being tracked beat parameters found before. The
 offline parameters are the most frequent choice of the online calibration, parameter by parameter,
 over the actions of the `dev` split; in a folder without splits, of the first nine tenths of each
 garment's recordings, and the last tenth is measured. Two controls read the truth, and are no
 results: friction as the world has it, in place of a search for it, and the thickness of the world's
-cloth. They say what a perfect calibration would be worth.
+cloth. They show the benefit of a perfect calibration.
 
     python experiments calibration --bench OUT --split test --workers 2
 """
@@ -55,10 +55,10 @@ def plan(setup: Setup) -> list[Run]:
 
 
 def chosen(setup: Setup) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Where offline parameters come from, and what is measured.
+    """Return the trajectories for offline calibration, and those to measure.
 
     Raises:
-        InvalidConfigError: a recording is among both.
+        InvalidConfigError: a recording is in both.
     """
     if setup.smoke:
         # One towel for both: that everything runs is all that is asked.
@@ -74,7 +74,7 @@ def chosen(setup: Setup) -> tuple[list[Trajectory], list[Trajectory]]:
 
 
 def controls(setup: Setup, trajectory: Trajectory) -> list[Variant]:
-    """The default with the true friction, and with the true thickness."""
+    """Return the default with the true friction, and with the true thickness."""
     default, fabric = mode("default"), true_fabric(trajectory)
     kept = {axis: v for axis, v in default.search.axes.items() if axis not in FRICTION}
     friction = {name: fabric[true_name] for name, true_name in FRICTION.items()}
@@ -93,7 +93,7 @@ def controls(setup: Setup, trajectory: Trajectory) -> list[Variant]:
 
 
 def true_fabric(trajectory: Trajectory) -> dict[str, float]:
-    """What the world's cloth is made of, as its truth file states it."""
+    """Return what the world's cloth is made of, as its truth file states it."""
     with np.load(trajectory.truth) as truth:
         return json.loads(str(truth["fabric"]))
 
@@ -101,7 +101,8 @@ def true_fabric(trajectory: Trajectory) -> dict[str, float]:
 def fixed(config: RunConfig, parameters: dict[str, float]) -> RunConfig:
     """Return the settings with these parameters of the cloth and no search.
 
-    How many layers a picker takes is no property of the cloth: it stays what the mode begins with.
+    The number of layers that a picker takes is not a property of the cloth, so it keeps the mode's
+    initial value.
     """
     cloth = {name: value for name, value in parameters.items() if hasattr(config.cloth, name)}
     return replace(
@@ -110,7 +111,7 @@ def fixed(config: RunConfig, parameters: dict[str, float]) -> RunConfig:
 
 
 def most_frequent(rows: Iterable[Row]) -> dict[str, float]:
-    """The mode of each parameter over all actions; the smaller value of two equally frequent."""
+    """Return the mode of each parameter over all actions; the smaller of equally frequent ones."""
     counts: dict[str, Counter[float]] = {}
     for row in rows:
         # Two rows per action, before and after TTO2: one vote is enough.

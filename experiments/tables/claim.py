@@ -1,16 +1,16 @@
-"""The claim: what tracked labels of a garment that no network knows are worth to the network.
+"""Test the claim: the benefit to a network of tracked labels of a garment outside its training.
 
     python experiments claim --out OUT --garments tshirt sweater towel --networks tokens published \
         --seeds 0 1 2 --labels before truth default paper open_loop usual --label-error 2 5 10 20 40
 
-The garment is filmed in a world that is as unkind as a lab's (`shared/unkind_world.py`). A network
-learns from labels of its recordings, each kind in its turn, and the truth judges it on recordings
-that are held out. `usual` are as many pictures of the same garment without tracking: the same
+The garment is recorded in a simulated world as difficult as a lab (`shared/unkind_world.py`). A
+network learns from each kind of label of its recordings in turn, and is scored against the truth on
+held-out recordings. `usual` are as many pictures of the same garment without tracking: the same
 actions in the tracker's own simulator, uncalibrated, drawn as in pretraining. `--label-error` makes
 the true labels wrong by so many millimeters.
 
-Whatever is finished is kept, cell by cell, in OUT/claim.jsonl; the table is of all that is there. A
-second call goes on; `--only-print` just prints.
+Finished cells are stored in OUT/claim.jsonl, and the table has all of them. A second call resumes;
+`--only-print` just prints.
 """
 
 import argparse
@@ -86,11 +86,11 @@ class Claim:
     smoke: bool = False
 
     def learned(self, garment: str) -> list[Trajectory]:
-        """The recordings of a garment to learn from."""
+        """Return the recordings of a garment to learn from."""
         return self._filmed(garment, "learned", self.recordings, LEARNED_SEED)
 
     def measured(self, garment: str) -> list[Trajectory]:
-        """The recordings of a garment to measure on."""
+        """Return the recordings of a garment to measure on."""
         return self._filmed(garment, "held_out", self.held_out, HELD_OUT_SEED)
 
     def _filmed(self, garment: str, name: str, count: int, seed: int) -> list[Trajectory]:
@@ -98,7 +98,7 @@ class Claim:
         return film(folder, GARMENTS[garment], count, seed, smoke=self.smoke)
 
     def rows(self, cell: Cell) -> list[Row]:
-        """One row per held-out picture."""
+        """Return one row per held-out picture."""
         weights, error_mm = self._start(cell), None
         if cell.labels != BEFORE:
             learned = self.learned(cell.garment)
@@ -134,7 +134,7 @@ class Claim:
     def _labels(
         self, name: str, learned: Sequence[Trajectory]
     ) -> tuple[list[LabeledRecording], float]:
-        """The labels of a name, and their own mean error [mm]."""
+        """Return the labels of a name, and their own mean error [mm]."""
         if name in TRACKED:
             tasks = self._tracked(name, learned)
             rows = [row for task in tasks for row in read_rows(task.file)]
@@ -150,7 +150,7 @@ class Claim:
         return [wrong_labels(task, 1e-3 * error_mm) for task in tasks], error_mm
 
     def _tracked(self, name: str, learned: Sequence[Trajectory]) -> list[Task]:
-        """Finished runs; a recording that cannot be tracked is left out, and said so."""
+        """Return finished runs; a recording that cannot be tracked is left out, and said so."""
         setup = Setup(self.out, self.out, smoke=self.smoke)
         config = mode(name) if name in TRACKED else mode("open_loop")
         if name == USUAL:
@@ -164,7 +164,7 @@ class Claim:
 
 
 def cells(options: argparse.Namespace) -> Iterator[Cell]:
-    """What is asked for, seed by seed."""
+    """Yield what is asked for, seed by seed."""
     names = [*options.labels, *(f"error {each:g} mm" for each in options.label_error)]
     for seed in options.seeds:
         for name in names:

@@ -1,4 +1,4 @@
-"""Collision: vertex pairs under 5 mm and true crossings, with and without the rigidity loss.
+"""Measure vertex pairs under 5 mm and true crossings, with and without the rigidity loss.
 
 Claim judged: without rigidity the alignment pushes layers through each other. The paper counts
 vertex pairs nearer than 5 mm on 3,906 vertices; ours leave out neighbors in the mesh, stand per

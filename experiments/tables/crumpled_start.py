@@ -1,15 +1,15 @@
-"""Tracking from a crumpled first frame: how much is lost against a start from the flat cloth?
+"""Compare tracking from a crumpled first frame with a start from the flat cloth.
 
-Each recording is tracked twice. From flat: as it is, from the template that it carries. From
-crumpled: from the frame before its second action on, without a template; the first mesh is the
-network's, of that one picture and the garment's size. Both are compared with the truth after the
-same actions, under the look-alike labeling that fits best.
+Each recording is tracked twice. From flat, it is tracked unchanged from its template. From
+crumpled, it is tracked from the frame before its second action on, without a template; the first
+mesh is the network's, from that one picture and the garment's size. Both are compared with the
+truth after the same actions, under the best-fitting symmetry.
 
     clothtrack simulate OUT --garment towel --trajectories 10 --seed 700
     clothtrack simulate OUT --garment tshirt --trajectories 10 --seed 700
     python experiments crumpled_start --bench OUT --weights FILE
 
-Runs are kept beside the recordings: a second call goes on where the first one stopped.
+Runs are stored next to the recordings, and a second call resumes.
 """
 
 import argparse
@@ -72,11 +72,11 @@ def crumpled(recording: Recording) -> Recording:
 def errors_mm(
     mesh: ClothMesh, ends: Sequence[tuple[int, Float[np.ndarray, "vertices 3"]]], truth: Truth
 ) -> list[float]:
-    """Mean vertex error [mm] at frames, under the labeling that fits best in their mean.
+    """Return the mean vertex error [mm] at frames, under the symmetry with the least mean.
 
     Args:
-        mesh: what was tracked, canonical coordinates filled.
-        ends: frame of the truth, and vertices [m] then.
+        mesh: tracked mesh with canonical coordinates.
+        ends: frames of the truth, with the vertices [m] at each.
         truth: with canonical coordinates.
     """
     canonical = np.asarray(mesh.canonical, np.float64)
@@ -93,7 +93,7 @@ def errors_mm(
 
 
 def run(options: argparse.Namespace) -> list[Row]:
-    """One row per recording.
+    """Return one row per recording.
 
     Raises:
         InvalidConfigError: there is no recording, or there are no weights.
@@ -142,7 +142,7 @@ def measured(trajectory: Trajectory, weights: Path, store: Path) -> Row:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """One line per garment and number of actions since the start."""
+    """Return one line per garment and number of actions since the start."""
     lines = []
     good = [row for row in rows if "error" not in row]
     for kind in dict.fromkeys(row["kind"] for row in good):

@@ -1,4 +1,4 @@
-"""With and without TTO2, at the best, the 50 % and the 90 % ranked parameters of the grid.
+"""Compare with and without TTO2 at the best, the 50 % and the 90 % ranked grid parameters.
 
 Claim judged: the final alignment makes up for a bad calibration. Per action every combination of
 the grid is rolled out and ranked; the tracker then takes the best, the one that half of the others

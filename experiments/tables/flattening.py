@@ -2,13 +2,13 @@
 
 Claims judged: fine-tuning lifts the normalized improvement by 30 % (paper, 0.23 to 0.30); the
 fine-tuned network reaches 80 % of what the truth as perception reaches; the learned dynamics are as
-good as the simulator. Random actions and the geometric heuristic say what no mesh is worth. What
-begins with "control" knows the truth, and is an upper bound and no result.
+good as the simulator. Random actions and the geometric heuristic are baselines without a mesh.
+Methods that begin with "control" use the truth and are upper bounds, not results.
 
     python experiments flattening --out OUT --episodes 20
     python experiments flattening --out OUT --weights FILE --tuned FILE --dynamics FILE
 
-Episodes that are finished are kept, a broken one goes on; methods without their weights are left
+Finished episodes are kept and an interrupted one is resumed; methods without their weights are left
 out. `--kind tshirt --kind towel` takes both garments in turn; `--garment-seed N` starts one garment
 20 times, as in the paper, one that no shipped network was trained on.
 """
@@ -72,8 +72,8 @@ class Method:
     """One line of the table.
 
     Attributes:
-        name: as the table calls it.
-        config: how it flattens.
+        name: name in the table.
+        config: configuration of flattening.
     """
 
     name: str
@@ -85,11 +85,11 @@ class Task:
     """One episode of one method.
 
     Attributes:
-        method: how.
-        episode: which.
+        method: method to run.
+        episode: episode to run.
         out: folder of all episodes and starts.
-        robot: of the simulated world.
-        device: where to compute.
+        robot: configuration of the simulated robot.
+        device: device to compute on.
     """
 
     method: Method
@@ -112,7 +112,7 @@ class Task:
 
 
 def methods(options: argparse.Namespace) -> list[Method]:
-    """What is compared: what needs no weights always, the others where their weights are given."""
+    """Return the methods to compare; those that need weights only if their weights are given."""
     base = FlattenConfig(actions=options.actions)
     if options.smoke:
         quick = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
@@ -151,13 +151,13 @@ def methods(options: argparse.Namespace) -> list[Method]:
 def task_of(
     method: Method, episode: SimulatedEpisode, out: Path, robot: SimulatedRobotConfig, device: str
 ) -> Task:
-    """One episode of one method, which knows the template of the one garment where there is one."""
+    """Return one episode of one method, with the template of the single garment, if any."""
     config = knowing_the_garment(method.config, episode.garment, out)
     return Task(replace(method, config=config), episode, out, robot, device)
 
 
 def run(task: Task) -> list[Row]:
-    """One episode's rows, one per action; an episode that ended early stays where it was."""
+    """Return one episode's rows, one per action; an episode that ended early stays where it was."""
     quiet_warp()
     named = {
         "experiment": NAME,
@@ -186,7 +186,7 @@ def run(task: Task) -> list[Row]:
 
 
 def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
-    """What is measured after each action."""
+    """Return the measures after each action."""
     steps = store.steps
     gained = improvement(steps)
     asked = store.document["asked"]
@@ -231,7 +231,7 @@ def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
 
 
 def true_world(task: Task, store: EpisodeStore, step: int) -> tuple[int, float]:
-    """Of the true cloth after a step: edges that pass through it, and the share out of sight."""
+    """Return the true cloth's self-crossing edges and its hidden share after a step."""
     path = task.folder / "worlds" / task.episode.label / f"{step:02d}.npz"
     with np.load(path, allow_pickle=False) as file:
         positions, faces = file["positions"], file["faces"]
@@ -282,7 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_starts(tasks: Sequence[Task], workers: int) -> None:
-    """The crumpled starts, once each: methods that run beside each other share them."""
+    """Make the crumpled starts once each, because parallel methods share them."""
     first = {task.episode.label: task for task in reversed(tasks)}
     missing = [
         task for label, task in first.items()
@@ -303,7 +303,7 @@ def make_start(task: Task) -> None:
 
 
 def noted(rows: list[Row]) -> list[Row]:
-    """The same rows; says that they are there."""
+    """Return the same rows; says that they are there."""
     last = rows[-1]
     text = last.get("error") or f"improvement {last['improvement']:.3f}"
     sys.stderr.write(f"{last['variant']}, {last['recording']}: {text}\n")
@@ -312,7 +312,7 @@ def noted(rows: list[Row]) -> list[Row]:
 
 
 def tiny_network(path: Path) -> Path | None:
-    """Weights of a network that has learned nothing; None where [learn] is not installed."""
+    """Return weights of a network that has learned nothing; None where [learn] is not installed."""
     if missing_modules():
         return None
     import torch

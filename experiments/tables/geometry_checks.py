@@ -1,4 +1,4 @@
-"""Whether wrong geometry is found, and right geometry left alone.
+"""Check that wrong geometry is found and right geometry is accepted.
 
 Claim judged: each of 20 kinds of wrong geometry is found by `clothtrack inspect` on each of three
 recordings, and no right recording is accused, neither as it is nor, where its cloth lies flat at
@@ -68,14 +68,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """The recording that a folder is, or those that lie in it."""
+    """Return the recording that a folder is, or those that lie in it."""
     if (folder / "recording.json").exists():
         return [folder]
     return sorted(path.parent for path in folder.glob("*/recording.json"))
 
 
 def chosen(right: Sequence[Recording], names: Sequence[str] | None) -> Iterator[Recording]:
-    """The recordings to spoil."""
+    """Yield the recordings to spoil."""
     if names:
         yield from (recording for recording in right if recording.name in names)
         return
@@ -91,7 +91,7 @@ def chosen(right: Sequence[Recording], names: Sequence[str] | None) -> Iterator[
 
 
 def looked_at(folder: Path, kind: str, field: str) -> Row:
-    """What `inspect` finds in a recording; `named`: it says which field was spoilt."""
+    """Return what `inspect` finds in a recording; `named`: it says which field was spoilt."""
     row: Row = {"recording": folder.name, "kind": kind}
     try:
         findings = check_geometry(read_recording(folder))
@@ -106,7 +106,7 @@ def looked_at(folder: Path, kind: str, field: str) -> Row:
 
 
 def without_template(recording: Recording) -> Row:
-    """What is found in a right recording that begins with a flat cloth, its template left out."""
+    """Return the findings in a right recording of a flat cloth without its template."""
     cloth = replace(recording.cloth, template=None, held_vertices={})
     findings = cloth_findings(replace(recording, cloth=cloth), ObservedFrames(recording))
     return {

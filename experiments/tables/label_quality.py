@@ -1,13 +1,14 @@
-"""Label quality: what is observable, against the true error; fitted on dev, scored on test.
+"""Score label quality from observables against the true error; fitted on dev, scored on test.
 
     python experiments label_quality --bench OUT --rows OUT/experiments
     python experiments label_quality --bench OUT --rows DEV_ROWS TEST_ROWS --fit
 
-The rows are those of table1.py; the meshes of its runs are looked at beside their recordings.
-`--fit` fits the model on the labels of the split `dev`, and on no other, and writes the file that
-the package reads (or the one that `--model` names). What stands for `dev` is cross-validated: each
-trajectory is judged by a model that has not seen it. Every other split is scored by the model as it
-is. All judged labels are written to label_quality.jsonl in the first folder of rows.
+The rows are those of table1.py; the meshes of its runs are evaluated together with their
+recordings. `--fit` fits the model on the labels of the split `dev`, and on no other, and writes the
+file that the package reads (or the one that `--model` names). The values for `dev` are
+cross-validated: each trajectory is judged by a model that was not fitted on it. Every other split
+is scored by the unchanged model. All judged labels are written to label_quality.jsonl in the first
+folder of rows.
 """
 
 import argparse
@@ -41,11 +42,11 @@ LEAST_TRAJECTORIES = 3
 
 @dataclass(frozen=True)
 class Judged:
-    """One label of the benchmark: what is observed, and what is true.
+    """One label of the benchmark, with evidence and truth.
 
     Attributes:
         row: its row of Table 1.
-        evidence: what is observed of it.
+        evidence: observed evidence of its quality.
     """
 
     row: Row
@@ -63,7 +64,7 @@ class Judged:
 
 
 def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Judged]:
-    """The labels of a variant's runs in folders of rows, with their evidence.
+    """Return the labels of a variant's runs in folders of rows, with their evidence.
 
     Raises:
         InvalidResultError: there are no rows.
@@ -91,7 +92,7 @@ def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Ju
 
 
 def fitted(labels: Sequence[Judged], variant: str) -> QualityModel:
-    """The model of the labels of `dev`, with what one needs to make it again."""
+    """Return the model of the labels of `dev`, with the data to reproduce it."""
     own = [one for one in labels if one.row["split"] == FITTED_ON]
     if len({one.recording for one in own}) < LEAST_TRAJECTORIES:
         raise InvalidConfigError(
@@ -135,7 +136,7 @@ def cross_validated(
     *,
     shrinkage: float = SHRINKAGE,
 ) -> Float[np.ndarray, " labels"]:
-    """Expected error [m] of each label by a model that saw no label of its group.
+    """Return expected error [m] of each label by a model that saw no label of its group.
 
     Args:
         evidence: one per label.
@@ -166,7 +167,7 @@ def rank_correlation(a: Iterable[float], b: Iterable[float]) -> float:
 def expectations(
     labels: Sequence[Judged], model: QualityModel
 ) -> dict[str, tuple[list[Judged], np.ndarray]]:
-    """Per split: its labels, and the errors [m] expected of them; of `dev`, cross-validated."""
+    """Return, per split, its labels and their expected errors [m]; for `dev`, cross-validated."""
     parts = {}
     for split in sorted({str(one.row["split"]) for one in labels}):
         own = [one for one in labels if one.row["split"] == split]
@@ -181,7 +182,7 @@ def expectations(
 
 
 def scores(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> str:
-    """Rank correlation by split, garment and action; what dropping labels is worth."""
+    """Return rank correlation by split, garment and action, and the benefit of dropping labels."""
     head = [
         "split", "n", "rank correlation", "towels", "T-shirts", "action 1", "2", "3",
         "off by a factor", "mean error mm", "better half by quality", "better half in truth",
@@ -208,7 +209,7 @@ def scores(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> str:
 
 
 def single_evidence(labels: Sequence[Judged], model: QualityModel) -> str:
-    """Each piece of evidence alone on `dev`: its rank correlation, and its weight."""
+    """Return rank correlation and weight of each piece of evidence alone on `dev`."""
     own = [one for one in labels if one.row["split"] == FITTED_ON]
     if not own:
         return f"No labels of the split {FITTED_ON}: nothing is said of single evidence."
@@ -227,7 +228,7 @@ def single_evidence(labels: Sequence[Judged], model: QualityModel) -> str:
 
 
 def kept_rows(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> list[Row]:
-    """One row per label: evidence, expected and true error."""
+    """Return one row per label: evidence, expected and true error."""
     keys = ("variant", "recording", "kind", "split", "run", "action", "frame", "error_all_mm")
     return [
         {
@@ -244,7 +245,7 @@ def kept_rows(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Judge the labels, fit if asked to, print the tables; returns the exit code."""
+    """Judge the labels, fit if requested, print the tables; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bench", type=Path, required=True, help="folder of the benchmark")
     parser.add_argument("--rows", type=Path, nargs="+", required=True, help="folders of rows")

@@ -1,8 +1,8 @@
-"""Why a simulator? Coherent point drift with an edge-length projection against the tracker.
+"""Compare the tracker with coherent point drift and an edge-length projection.
 
-Claim judged: dynamics bring something that smoothness and edge lengths do not: where the hidden
-part of the cloth goes. The peer (`clothtrack_lab.baselines`) sees the same clouds, first mesh
-and the same tool path; once it is told where the tool holds the cloth, as CDCPD is, and once not.
+Claim judged: dynamics predict the motion of the hidden part of the cloth better than smoothness and
+edge lengths do. The baseline (`clothtrack_lab.baselines`) is given the same clouds, first mesh and
+tool path, once with the grasp point on the cloth, as in CDCPD, and once without.
 
     pip install biocpd      (the extra [experiments] brings it)
     python experiments model_free --bench OUT --split test --workers 2

@@ -1,4 +1,4 @@
-"""The network alone, beside Table 1: each action's last frame reconstructed from nothing else.
+"""Measure the network alone, next to Table 1: each action's last frame reconstructed by itself.
 
 The paper's table has it at 3.0 (1e-4 m^2). Both ways to a mesh (the token network has one), each
 with and without fine-tuning at test time. Nothing is tracked: there is no TTO2, so that both of its

@@ -1,10 +1,10 @@
-"""Networks on the pictures of flattening: how wrong is the mesh that a plan begins with?
+"""Measure networks on the pictures of flattening: the error of the mesh that planning starts from.
 
-Every few pictures that the episodes of `flattening.py` took in the simulated world, whoever chose
-their actions, become a mesh by each of the networks, fine-tuned to the picture as in an episode,
-and are compared with the true cloth. The benchmark folds lying cloth; these are heaps, and what
-pulls have made of them. Claim judged: a network that has seen cloth being pulled apart is less
-wrong there.
+Each network reconstructs every few pictures that the episodes of `flattening.py` took in the
+simulated world, for any policy. The meshes are fine-tuned to the picture as in an episode and
+compared with the true cloth. The benchmark has folds of lying cloth; these pictures show heaps,
+before and after pulls. Claim judged: a network trained on cloth being pulled apart has a smaller
+error there.
 
     python experiments network_on_heaps --out OUT --kind tshirt --weights FILE FILE --every 4
 
@@ -63,7 +63,7 @@ class Task:
 
 
 def tasks_of(out: Path, kind: str, weights: Sequence[Path], every: int) -> list[Task]:
-    """Every so many pictures of all finished episodes; a start's first picture once.
+    """Return every so many pictures of all finished episodes; a start's first picture once.
 
     Raises:
         InvalidConfigError: there are none.
@@ -90,7 +90,7 @@ def tasks_of(out: Path, kind: str, weights: Sequence[Path], every: int) -> list[
 
 
 def run(task: Task) -> list[Row]:
-    """One row per picture."""
+    """Return one row per picture."""
     quiet_warp()
     network = NetworkPerception(task.kind, PerceptionConfig(weights=str(task.weights)))
     asked = json.loads((task.episode / "episode.json").read_text(encoding="utf-8"))["asked"]
@@ -122,7 +122,7 @@ def run(task: Task) -> list[Row]:
 
 
 def measured(estimate: Estimate, case: Case) -> Row:
-    """A mesh against cloud and truth."""
+    """Return a mesh against cloud and truth."""
     mesh = replace(estimate.flat, vertices=estimate.positions)
     _, best = vertex_errors(mesh, case)
     cloud = observe(case.recording, case.recording.frames[case.frame]).points
@@ -136,7 +136,7 @@ def measured(estimate: Estimate, case: Case) -> Row:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """One line per network; the difference is to the first, over starts."""
+    """Return one line per network; the difference is to the first, over starts."""
     head = ["network", "pictures", "error up to symmetry, mm", "median picture", "visible",
             "hidden", CHAMFER.title, "minus the first", "lower in"]  # fmt: skip
     bands = list(pairwise(COVERAGES))

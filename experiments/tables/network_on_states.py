@@ -1,8 +1,8 @@
-"""Networks on fresh simulated states: how far is every vertex from the truth, seen or hidden?
+"""Measure the vertex errors of networks on fresh simulated states, visible and hidden.
 
 One picture per state, by a camera of the kinds that the networks learn from; the garment's own flat
-mesh is given. Errors are those of the look-alike labeling that fits best, the same for every
-network. The states are simulated by the solver that made the training states, from another seed.
+mesh is given. Errors are those of the best-fitting symmetry, the same for every network. The states
+are simulated by the solver that made the training states, from another seed.
 
     clothtrack simulate out/towels --garment towel --states 60 --seed 78
     clothtrack simulate out/shirts --garment tshirt --states 60 --seed 78
@@ -80,7 +80,7 @@ TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 
 
 def look_alikes(mesh: ClothMesh) -> list[Float[np.ndarray, "3 3"]]:
-    """Maps of the canonical coordinates under which a towel or a shirt looks the same."""
+    """Return maps of the canonical coordinates under which a towel or a shirt looks the same."""
     canonical = np.asarray(mesh.canonical, float)
     if np.ptp(canonical[:, 2]) > 0.0:
         return [np.eye(3), np.diag([-1.0, 1.0, -1.0])]
@@ -97,7 +97,7 @@ def named_best(
     vertices: Float[np.ndarray, "vertices 3"],
     true: Float[np.ndarray, "vertices 3"],
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Return the vertices [m] under the labeling that is nearest to the truth."""
+    """Return the vertices [m] under the symmetry that is nearest to the truth."""
     canonical = np.asarray(mesh.canonical, float)
     renamed = []
     for turn in look_alikes(mesh):
@@ -107,7 +107,7 @@ def named_best(
 
 
 def run(options: argparse.Namespace) -> list[Row]:
-    """One row per state and network."""
+    """Return one row per state and network."""
     rows: list[Row] = []
     sheet = Sheet(options.image, options.worst)
     for folder in options.states:
@@ -137,8 +137,8 @@ class State:
     """One state, its picture, and the truth about it.
 
     Attributes:
-        known: what every row of it says.
-        picture: what the networks are asked about.
+        known: common fields of all its rows.
+        picture: input of the networks.
         true: the mesh as it lies [m].
     """
 
@@ -224,7 +224,7 @@ class Sheet:
 
 
 def drawn_line(picture: DepthInput, meshes: Sequence[ClothMesh | None], words: str) -> Picture:
-    """A picture, what each network made of it, and the truth, which is the last."""
+    """Return a picture, each network's mesh of it, and the truth last."""
     assert meshes[-1] is not None
     camera = three_quarter_view(
         meshes[-1].vertices, width=WIDTH, height=HEIGHT, azimuth_deg=-90.0, elevation_deg=60.0
@@ -244,14 +244,14 @@ def write(rows: Sequence[Row], options: argparse.Namespace) -> None:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The errors by kind, network and coverage, and the words of the verdict against the truth."""
+    """Return errors by kind, network and coverage, and the verdicts against the truth."""
     failed = [f"- {row['weights']}, {row['kind']}, shard {row['shard']}, state {row['state']}: "
               f"{row['error']}" for row in rows if "error" in row]  # fmt: skip
     return "\n".join([error_table(rows), "", trust_table(rows), "", *failed])
 
 
 def error_table(rows: Sequence[Row]) -> str:
-    """One line per kind, network and band of coverage; standard errors are over states."""
+    """Return one line per kind, network and band of coverage; standard errors are over states."""
     good = [row for row in rows if "error" not in row]
     networks = list(dict.fromkeys(str(row["weights"]) for row in rows))
     several = len(networks) > 1
@@ -293,7 +293,7 @@ def error_table(rows: Sequence[Row]) -> str:
 
 
 def trust_table(rows: Sequence[Row]) -> str:
-    """One line per network and kind: how many of each word, and how many of these are right.
+    """Return one line per network and kind: how many of each word, and how many of these are right.
 
     Under it, what would be trusted in all without each piece of evidence.
     """

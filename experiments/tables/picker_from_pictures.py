@@ -1,4 +1,4 @@
-"""How well the picker is found in pictures: films of the simulated world against their truth.
+"""Measure how well the picker is found in simulated recordings, against the truth.
 
     python experiments picker_from_pictures --out out/picker_from_pictures
 
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measured(folder: Path, truth: Path, tip: str) -> dict[str, Any]:
-    """Errors of the picker found in one film, against the path that the world recorded."""
+    """Return errors of the picker found in one film, against the path that the world recorded."""
     recording = read_recording(folder)
     camera, path = recording.cameras[0], recording.picker_paths["gripper"]
     found = find_picker(recording, camera, tip_colors(tip))
@@ -105,7 +105,7 @@ def measured(folder: Path, truth: Path, tip: str) -> dict[str, Any]:
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """The rows as a table."""
+    """Return the rows as a table."""
     names = list(rows[0])
     lines = ["| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
     lines += ["| " + " | ".join(str(row[name]) for name in names) + " |" for row in rows]

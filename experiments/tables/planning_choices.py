@@ -1,4 +1,4 @@
-"""What a choice is worth: the true gain of each action that a planner would choose.
+"""Measure planning choices: the true gain of each action that a planner would choose.
 
 Actions of a start are judged by the planner with every belief (`PERCEIVED`, either order of the
 layers, and the truth). Those that it would choose with any of them, with a strip of any width
@@ -12,8 +12,8 @@ same starts, without episodes.
 A third of the starts are dropped cloth, the others have been pulled outwards once or twice. With
 `--episodes`, where a method's episodes lie (FOLDER/worlds, as `flattening` keeps them), they are
 cloth that a plan has come to: that of every third action. Starts that are finished are kept. The
-gain is fitted to the promise and the distance off the cloth, start
-by start: what a meter off the cloth is worth over the promise's slope is the width of a strip.
+gain is fitted to the predicted gain and the distance off the cloth, start by start. The slope over
+this distance divided by the slope over the predicted gain is the width of a strip.
 """
 
 import argparse
@@ -140,7 +140,7 @@ def measured(
     *,
     candidates: int,
 ) -> dict[str, Any]:
-    """Return promises and true gains of what anyone would choose now."""
+    """Return predicted and true gains of the actions that would be chosen now."""
     rng = np.random.default_rng([*name.encode()])
     space = planner.config.space
     shown = looked(robot, folder / "shown")
@@ -184,7 +184,7 @@ def measured(
 def _against_truth(
     belief: Estimate, flat: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
 ) -> dict[str, float | None]:
-    """How wrong a belief is, by the naming that is nearest to the truth."""
+    """Return the error of a belief under the symmetry nearest to the truth."""
     namings = [
         material_points(positions, flat.faces, where_in(flat, belief.flat, kind, signs))
         for signs in symmetries(kind)
@@ -198,7 +198,7 @@ def _against_truth(
 
 
 def fitted(rows: Sequence[dict[str, Any]], planner: str) -> str:
-    """A line: slopes of the gain over the promise and over the distance off the cloth."""
+    """Return a line: slopes of the gain over predicted gain and distance off the cloth."""
     of_all: list[list[np.ndarray]] = [[], [], []]
     for row in rows:
         done = row["done"]
@@ -230,7 +230,7 @@ def won(rows: Sequence[dict[str, Any]], belief: str, strip_m: float) -> list[flo
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """Both tables, and how wrong the beliefs were."""
+    """Return both tables, and how wrong the beliefs were."""
     names = list(rows[0]["promised_m2"])
     lines = ["| planned from | per promised cm2 | per meter off, cm2 | strip, m | known |"]
     lines.append("|---" * 5 + "|")

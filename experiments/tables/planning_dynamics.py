@@ -1,4 +1,4 @@
-"""What a plan is tried in: the simulator against the learned mesh dynamics, over real actions.
+"""Compare dynamics for planning on executed actions: the simulator and the learned ones.
 
 Every pick-and-place that the episodes of `flattening.py` did in the simulated world is predicted
 again from the true cloth before it: where the cloth ends, and what coverage is gained. At the start
@@ -81,7 +81,7 @@ class Done:
 
 
 def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
-    """All actions that are on disk, by the seed of their episode; each start is there once.
+    """Return all actions that are on disk, by the seed of their episode; each start is there once.
 
     Raises:
         InvalidConfigError: there are none.
@@ -125,7 +125,7 @@ def _positions(worlds: Path, step: int) -> np.ndarray:
 
 
 def contenders(dynamics_weights: Path | None, device: str) -> Mapping[str, PlanningDynamics]:
-    """What is compared."""
+    """Return what is compared."""
     learned = FlattenConfig(dynamics="mesh", dynamics_weights=str(dynamics_weights or ""))
     return {
         SIMULATOR: SimulatorDynamics(device=device),
@@ -137,7 +137,7 @@ def contenders(dynamics_weights: Path | None, device: str) -> Mapping[str, Plann
 def predicted(
     kind: str, seed: int, done: Sequence[Done], asked: Mapping[str, PlanningDynamics]
 ) -> Iterator[Row]:
-    """One row per action and dynamics, and one per dynamics for the first decision."""
+    """Yield one row per action and dynamics, and one per dynamics for the first decision."""
     flat = done[0].flat
     coarseners = {name: Coarsener(flat, kind, dynamics.coarse) for name, dynamics in asked.items()}
     named = {"experiment": NAME, "recording": f"{kind}_{seed}", "kind": kind, "split": "",
@@ -174,7 +174,7 @@ def _decisions(
     seed: int,
     asked: Mapping[str, PlanningDynamics],
 ) -> Mapping[str, Row]:
-    """What a decision among the same candidates takes, and how alike they are rated."""
+    """Return what a decision among the same candidates takes, and how alike they are rated."""
     # What lies on top may be picked; a camera would see about the same.
     columns = cKDTree(start[:, :2]).query_ball_point(start[:, :2], 0.01)
     tops = np.array([start[column, 2].max() for column in columns])

@@ -1,4 +1,4 @@
-"""The paper's own calibration: its printed grid, open loop, beside the descent over our axes.
+"""Compare the paper's calibration, its printed grid in open loop, with descent over our axes.
 
 The paper prints stiffness 0.2 to 1.6 in 5 steps and both frictions 0.5 to 5 in 6 steps each: 180
 combinations for every action, each rolled out and compared with the last cloud. Its stiffness is

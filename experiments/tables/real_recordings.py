@@ -1,4 +1,4 @@
-"""How well real cloth is tracked: three recorded sets, converted, tracked and scored.
+"""Measure tracking of real cloth: three recorded sets, converted, tracked and scored.
 
 Claim judged: the default mode follows real cloth, and better than the paper's own loss and than
 the dynamics alone. No set has a true mesh, so each is judged by what it does have: a measured
@@ -63,7 +63,7 @@ class Task:
     device: str
 
     def tracked(self) -> TrackedTrajectory:
-        """The tracked trajectory of this task."""
+        """Return the tracked trajectory of this task."""
         return track(
             self.recording, self.mode, self.results, calibrated=not self.smoke, device=self.device
         )
@@ -102,7 +102,7 @@ SCORERS: dict[str, Callable[[Task], dict[str, object]]] = {
 
 
 def attempt(task: Task) -> tuple[Task, dict[str, object]]:
-    """A task and its figures, or the reason why there are none."""
+    """Return a task and its figures, or the reason why there are none."""
     name = task.source.name if task.source.is_dir() else robot_clouds.NAME
     try:
         return task, SCORERS[name](task)
@@ -170,7 +170,7 @@ def converted(name: str, folder: Path, output: Path, *, smoke: bool) -> list[tup
 
 
 def by_mode(rows: list[dict[str, object]], modes: Sequence[str]) -> dict[str, object]:
-    """Rows of the robot's sequences with their means (worst frame: maximum) by mode."""
+    """Return rows of the robot's sequences with their means (worst frame: maximum) by mode."""
     found = {mode: [r for r in rows if r["mode"] == mode and "error" not in r] for mode in modes}
     found = {mode: scored for mode, scored in found.items() if scored}
 
@@ -193,7 +193,7 @@ def by_mode(rows: list[dict[str, object]], modes: Sequence[str]) -> dict[str, ob
 
 
 def head(rows: list[dict[str, object]]) -> dict[str, object]:
-    """The figures of the first mode, with all modes beside them."""
+    """Return the figures of the first mode, with all modes beside them."""
     figures = {
         r["mode"]: {k: v for k, v in r.items() if k not in ("mode", "sequence")} for r in rows
     }
@@ -233,7 +233,7 @@ COLUMNS: dict[str, tuple[tuple[str, str, float], ...]] = {
 
 
 def table(name: str, rows: list[dict[str, object]], *, smoke: bool = False) -> str:
-    """The set's figures as text, one line per sequence and mode, and means of several."""
+    """Return the set's figures as text, one line per sequence and mode, and means of several."""
     note = " (smoke run: a few frames, not calibrated)" if smoke else ""
     lines = [f"{name}: {HEADINGS[name]}{note}"]
     titles = "".join(f"{title:>13}" for _, title, _ in COLUMNS[name])

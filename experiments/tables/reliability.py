@@ -1,4 +1,4 @@
-"""The long proofs of reliability: kills, damaged input, a long run, physics, full disks, trust.
+"""Run the reliability tests: kills, damaged input, a long run, physics, full disks, trust.
 
 Claims judged: whatever the moment of a `kill -9`, nothing finished is lost and the same command
 ends with the same bits; whatever is damaged is refused in one line; a process that tracks many
@@ -11,8 +11,8 @@ right (`harmless`) in one that is right and not trusted.
     python experiments reliability --out OUT --only wrong harmless --data DIR
     python experiments reliability --out OUT --case fuzz:1234     one case again, alone
 
-Cases that are done are kept in OUT/KIND.jsonl: a second call goes on where the first stopped. A
-case depends on its number and on `--seed` alone. `--smoke` takes a few cases of each kind.
+Finished cases are kept in OUT/KIND.jsonl, and a second call resumes. A case depends only on its
+number and on `--seed`. `--smoke` takes a few cases of each kind.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def staged(folder: Path, kinds: set[str], data: Path | None) -> Path:
-    """The folder of what the proofs work on, with what these kinds need."""
+    """Return the folder of what the proofs work on, with what these kinds need."""
     folder.mkdir(parents=True, exist_ok=True)
     if data is not None and not (folder / REAL).exists():
         (folder / REAL).symlink_to(data.resolve(), target_is_directory=True)
@@ -81,7 +81,7 @@ def staged(folder: Path, kinds: set[str], data: Path | None) -> Path:
 def cases(
     kind: str, count: int, seed: int, stage: Path, out: Path, *, kinds: Sequence[str] = ()
 ) -> list[dict]:
-    """The rows of the first `count` cases; those that are missing are done, one by one.
+    """Return the rows of the first `count` cases; those that are missing are done, one by one.
 
     With `kinds`, only the cases of these kinds of change.
     """
@@ -108,7 +108,7 @@ def cases(
 
 
 def read_rows(file: Path) -> list[dict]:
-    """The rows of a file; of a line that a kill cut off, nothing."""
+    """Return the rows of a file; of a line that a kill cut off, nothing."""
     rows = []
     for line in file.read_text("utf-8").splitlines() if file.exists() else ():
         try:

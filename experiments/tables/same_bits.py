@@ -1,12 +1,12 @@
-"""Does a change keep what is tracked, to the last bit, and how fast?
+"""Check whether a code change keeps tracked results to the last bit, and compare the speed.
 
 Tracks recordings in every mode with two checkouts in turn and compares the positions, frame by
-frame, and the CPU time of each run. A refactoring must leave every row at 0; whoever changes a
-result on purpose reads here how much.
+frame, and the CPU time of each run. A refactoring must leave every row at 0; for an intended change
+the rows show its size.
 
     python experiments same_bits --before CHECKOUT --after CHECKOUT --json OUT RECORDING...
 
-What is finished beside OUT is kept, so that the same command goes on after an interrupt.
+Finished results next to OUT are kept, so the same command resumes after an interrupt.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def track(checkout: Path, recording: Path, mode: str, output: Path) -> None:
 
 
 def compared(recording: Path, mode: str, before: Path, after: Path) -> dict[str, object]:
-    """How far two results of one recording and mode are apart [m], and their CPU times [s]."""
+    """Return the difference of two results of a recording and mode [m], and CPU times [s]."""
     positions, spent = [], []
     for output in (before, after):
         group = zarr.open_group(output / f"{recording.name}.zarr", mode="r")

@@ -1,4 +1,4 @@
-"""Whether a sense that contradicts another one is found, over random strengths.
+"""Check that inputs that contradict each other are found, over random strengths.
 
 Claim judged: each kind of contradiction (color against depth, clock, masks, actions, template,
 lens) is found in ten random strengths, and no right recording is accused.
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def row(kind: SenseKind, right: Sequence[Right], draws: int) -> dict[str, Any]:
-    """How often a kind is found, and by what."""
+    """Return how often a kind is found, and by what."""
     usable = [each for each in right if needed(kind, *each)]
     by: Counter[str] = Counter()
     found = named = 0
@@ -90,7 +90,7 @@ def row(kind: SenseKind, right: Sequence[Right], draws: int) -> dict[str, Any]:
 
 
 def needed(kind: SenseKind, recording: Recording, small: SmallPictures) -> bool:
-    """Whether a recording has what a kind spoils."""
+    """Return whether a recording has what a kind spoils."""
     text = kind.text
     colored = small.mask is not None or recording.cloth.color is not None
     if "mask" in text or "picture" in text:

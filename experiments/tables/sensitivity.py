@@ -1,7 +1,7 @@
-"""Sensitivity of the default: one setting at a time, everything else as it is.
+"""Measure the sensitivity of the default: one setting at a time, everything else unchanged.
 
-Claim judged: no number in the configuration is a lucky one, and where the tracker breaks is known.
-The axes, each of them a name for `--axes`:
+Claim judged: no value in the configuration is a lucky choice, and the limits of the tracker are
+known. The axes, each of them a name for `--axes`:
 
 - rigidity: weight of the rigidity loss in both alignments.
 - explosion: speed [m/s] above which the line search takes a correction back, and nothing else does.
@@ -110,7 +110,7 @@ def _actions(setup: Setup) -> list[Run]:
 
 
 def _with(values: Sequence[float], default: float) -> list[float]:
-    """The axis with the default on it, whatever that is by now."""
+    """Return the axis with the default on it, whatever that is by now."""
     return sorted({*values, round(default, 6)})
 
 

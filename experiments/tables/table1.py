@@ -1,9 +1,9 @@
 """Table 1: the paper's method, its four ablations, open loop, and our default.
 
-Claim judged: pseudo-action, dynamics initialization, action conditioning and TTO2 each earn their
-place; and the default is nearer to the truth than the paper's method. The paper could only measure
-the Chamfer distance, which hardly follows the true error; both stand here. The rows begin with the
-recording's template, those "network first" with what the network makes of the first picture.
+Claim judged: pseudo-action, dynamics initialization, action conditioning and TTO2 each improve the
+result; and the default is nearer to the truth than the paper's method. The paper could only measure
+the Chamfer distance, which hardly follows the true error; both are listed here. The rows begin with
+the recording's template, those "network first" with what the network makes of the first picture.
 
     python experiments table1 --bench OUT --split test --workers 2
 """

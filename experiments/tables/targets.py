@@ -49,7 +49,7 @@ class Target:
 
 
 def targets(rows: Iterable[Row]) -> list[Target]:
-    """All targets that the rows of Table 1 can judge."""
+    """Return all targets that the rows of Table 1 can judge."""
     good = [row for row in rows if "error" not in row]
     ours = [row for row in good if row["variant"] == OURS]
     papers = [row for row in good if row["variant"] == PAPERS]

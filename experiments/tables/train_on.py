@@ -1,12 +1,12 @@
-"""Train the token network on: fresh states of a seed, some hours of training, then judge.
+"""Continue training the token network: fresh states of a seed, some hours of training, scoring.
 
     python experiments train_on --output OUT --seed 40 --hours 2 --data DIR
 
 One call is one round. It simulates states that no other seed has, trains on all states of OUT for
 so many hours of wall time, and judges the weights: held-out garments, fresh states of a seed of
-their own (every vertex against the truth), and real pictures where DIR has some
-(`real_pictures`). The next round, with another seed, goes on from there: rate and moments stay,
-the states are more. A round that is interrupted goes on with the same command.
+their own (every vertex against the truth), and real pictures where DIR has some (`real_pictures`).
+The next round, with another seed, continues from there: rate and moments stay, and there are more
+states. The same command resumes an interrupted round.
 
     OUT/states/towel_40 ...    the states of each round
     OUT/judge/towel ...        the states that judge; nothing learns from them
@@ -125,7 +125,7 @@ def judged(options: argparse.Namespace, weights: Path, config: StatesConfig) -> 
 
 
 def _errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | int]:
-    """Mean error of all states and of heaps [mm], and how many states gave no mesh."""
+    """Return the mean error of all states and of heaps [mm], and how many states gave no mesh."""
     good = [row for row in rows if "error" not in row]
     heaps = [row["error_mm"] for row in good if row["coverage"] < network_on_states.HEAP]
     return {

@@ -1,4 +1,4 @@
-"""Does the spread of the candidates tell which vertices of a label are wrong?
+"""Test whether the spread of the candidates shows which vertices of a label are wrong.
 
     clothtrack simulate OUT --benchmark dev
     clothtrack track OUT/recordings/*_dev_* --output TRACKED
@@ -66,7 +66,7 @@ class Label:
         return self.error_m / self.error_m.mean()
 
     def row(self) -> list[float]:
-        """Error in mm, both correlations, and the three parts of the cloth."""
+        """Return error in mm, both correlations, and the three parts of the cloth."""
         spread, share = self.spread_m, self.share
         most, least = spread >= np.quantile(spread, 0.8), spread <= np.quantile(spread, 0.2)
         return [
@@ -79,13 +79,13 @@ class Label:
         ]
 
     def off_by(self, dealt: float) -> float:
-        """Mean absolute error of the expectation, in parts of the label's mean error."""
+        """Return the mean absolute error of the expectation, in parts of the label's mean error."""
         expected = 1.0 - dealt + dealt * self.spread_m / self.spread_m.mean()
         return float(np.abs(self.share - expected).mean())
 
 
 def labels(path: Path, truths: Path) -> list[Label]:
-    """The labels of a trajectory whose candidates were tracked.
+    """Return the labels of a trajectory whose candidates were tracked.
 
     Raises:
         InvalidResultError: the trajectory or its truth cannot be read.

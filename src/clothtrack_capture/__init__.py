@@ -1,4 +1,4 @@
-"""From a sensor or a file to a recording: recording, import, calibration, masks, picker paths.
+"""Capture: recording, import, camera calibration, masks and picker paths.
 
 This package imports `clothtrack`, which does not import it.
 """

@@ -1,7 +1,8 @@
-"""Changing a recording that is there: whatever is interrupted, it stays whole.
+"""Changes to an existing recording that keep it valid even when they are interrupted.
 
-A file is written beside the one that it replaces and renamed; `recording.json` comes last, because
-it names the others. What it does not speak of stays as it was, remarks included.
+Each new file is written next to the old one and then renamed over it. `recording.json` is written
+last because it names the other files. Everything that a change does not concern stays as it was,
+including remarks.
 """
 
 import copy
@@ -26,14 +27,15 @@ Change = Callable[[dict[str, Any]], None]
 
 
 def amend_document(folder: Path, change: Change) -> None:
-    """Change the content of `recording.json`; it is replaced as a whole or stays as it was.
+    """Change the content of `recording.json`, replacing the file completely or not at all.
 
     Args:
-        folder: the recording.
-        change: changes the content in place.
+        folder: folder of the recording.
+        change: function that changes the content in place.
 
     Raises:
-        InvalidRecordingError: the content cannot be read, or would break the format's rules.
+        InvalidRecordingError: the content cannot be read, or the change would break the format's
+            rules.
         StorageError: the disk refuses.
     """
     document, violations = load_document(folder)
@@ -57,22 +59,22 @@ def set_actions(
 ) -> None:
     """Replace the pickers' paths and the actions of a recording.
 
-    Between the steps the recording has no actions, so that it never shows old ones with new paths.
+    The old actions are removed first, so the recording never combines old actions with new paths.
 
     Args:
-        recording: to be changed.
-        paths: per picker name; they replace all that were there.
-        actions: in order.
-        provenance: remarks to add.
+        recording: recording to change.
+        paths: path per picker name; they replace all existing paths.
+        actions: actions in order.
+        provenance: provenance entries to add.
 
     Raises:
-        InvalidRecordingError: the recording would break the format's rules.
+        InvalidRecordingError: the change would break the format's rules.
         StorageError: the disk refuses.
     """
 
     def without_actions(document: dict[str, Any]) -> None:
         document.pop("actions", None)
-        # What is held, and how far from the tip, was said of the old paths.
+        # The held vertices and the grasp uncertainty describe the old paths.
         for field in ("held_vertices", "grasp_uncertainty_m"):
             document.get("cloth", {}).pop(field, None)
 
@@ -100,20 +102,20 @@ def set_masks(
     color: str | None = None,
     provenance: Mapping[str, object],
 ) -> int:
-    """Give a recording masks for one camera, in place of those that it may have.
+    """Write masks for one camera, replacing existing ones.
 
     Args:
-        recording: to be changed.
-        camera: whose pictures the masks belong to.
-        mask_of: mask of the cloth in a frame; None or an empty one where it has none.
-        color: the cloth's color name to note, if any.
-        provenance: remarks to add.
+        recording: recording to change.
+        camera: name of the camera that the masks belong to.
+        mask_of: function that returns the cloth mask of a frame; None or empty where there is none.
+        color: name of the cloth's color to store, if any.
+        provenance: provenance entries to add.
 
     Returns:
         The number of masks written.
 
     Raises:
-        InvalidRecordingError: the recording would break the format's rules.
+        InvalidRecordingError: the change would break the format's rules.
         StorageError: the disk refuses.
     """
     folder, name = recording.folder, _free_name(recording.folder)
@@ -150,7 +152,7 @@ def set_masks(
 
 
 def _name_files(entry: dict[str, Any], frame: Frame, folder: Path, *, single: bool) -> None:
-    """Write down which files a frame has, where it had only their conventional names."""
+    """List a frame's files explicitly if it relied on their conventional names."""
     if entry.keys() & {*PICTURE_KINDS, "cloud"}:
         return
     for kind in PICTURE_KINDS:
@@ -165,7 +167,7 @@ def _name_files(entry: dict[str, Any], frame: Frame, folder: Path, *, single: bo
 
 
 def _free_name(folder: Path) -> str:
-    """Return a name for a folder of masks that is not taken."""
+    """Return an unused name for a folder of masks."""
     names = (f"mask{number}" for number in range(2, 1_000_000))
     return "mask" if not (folder / "mask").exists() else next(
         name for name in names if not (folder / name).exists()
@@ -173,7 +175,7 @@ def _free_name(folder: Path) -> str:
 
 
 def _remove_pictures(folder: Path, paths: list[Path | None]) -> None:
-    """Remove pictures that nothing names any more, and their folder when that empties it."""
+    """Remove pictures that are no longer referenced, and their folder if it is then empty."""
     with storage(folder):
         for path in paths:
             if path is not None and path.parent == folder:

@@ -1,4 +1,4 @@
-"""ChArUco boards: where a camera stands relative to a printed board of known size."""
+"""ChArUco boards: the pose of a camera relative to a printed board of known size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 
 _LEAST_CORNERS = 6
-"""Fewer corners than this of a board are not trusted to give a pose."""
+"""Least number of board corners from which a pose is computed."""
 
 _DICTIONARIES = ("4X4_50", "4X4_100", "5X5_50", "5X5_100", "6X6_50", "6X6_250", "7X7_50")
 
@@ -22,15 +22,15 @@ _DICTIONARIES = ("4X4_50", "4X4_100", "5X5_50", "5X5_100", "6X6_50", "6X6_250", 
 class Board:
     """A printed ChArUco board: a chessboard with a marker in every white square.
 
-    Its frame: origin in the middle of the board, x along the columns, y along the rows upwards,
-    z out of the paper.
+    The origin of its frame is the middle of the board, x runs along the columns, y up along the
+    rows, and z points out of the paper.
 
     Attributes:
         columns: squares along the width.
         rows: squares along the height.
         square_m: side of a square [m], measured on the print.
         marker_m: side of a marker [m].
-        dictionary: of the markers, such as "4X4_50".
+        dictionary: marker dictionary, such as "4X4_50".
     """
 
     columns: int
@@ -40,7 +40,7 @@ class Board:
     dictionary: str = "4X4_50"
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be printed.
+        """Refuse boards that cannot be printed.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -61,14 +61,14 @@ class Board:
 
     @cached_property
     def corners(self) -> Float[np.ndarray, "corners 3"]:
-        """Every inner corner of the chessboard [m], in the board's frame, in the order of ids."""
+        """Inner corners of the chessboard in the board's frame [m], ordered by id."""
         across, down = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         x = (across - self.columns / 2.0) * self.square_m
         y = (self.rows / 2.0 - down) * self.square_m
         return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
 
     def picture(self, pixels_per_square: int) -> UInt8[np.ndarray, "height width"]:
-        """Return the board to print: black and white, without a margin."""
+        """Return the board as a black and white picture to print, without a margin."""
         size = self.columns * pixels_per_square, self.rows * pixels_per_square
         return self._boards[0].generateImage(size)
 
@@ -77,9 +77,9 @@ class Board:
     ) -> tuple[Int[np.ndarray, " found"], Float[np.ndarray, "found 2"]]:
         """Return the ids and pixels (column, row) of the corners seen in a picture.
 
-        None where it is not.
+        Both arrays are empty if the board is not seen.
 
-        Boards printed by old versions of OpenCV, whose first square is white, are known too.
+        Boards printed by old versions of OpenCV, whose first square is white, are recognized too.
         """
         gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
         best = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
@@ -104,12 +104,12 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardPose:
-    """Where a board is in a camera's frame.
+    """The pose of a board in a camera's frame.
 
     Attributes:
         camera_from_board: rigid 4 x 4, board to camera [m].
-        corners: how many corners were used.
-        residual_px: root mean square distance of the corners from where the pose puts them.
+        corners: number of corners used.
+        residual_px: root mean square reprojection error of the corners [pixels].
     """
 
     camera_from_board: Float[np.ndarray, "4 4"]
@@ -120,12 +120,12 @@ class BoardPose:
 def locate_board(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]], board: Board, camera: Camera
 ) -> BoardPose:
-    """Return the pose of a board that lies still, from all pictures of it together.
+    """Return the pose of a static board, estimated jointly from all pictures.
 
     Args:
-        pictures: color pictures, red first, without lens distortion; some may not show it.
-        board: what was printed.
-        camera: whose pictures they are.
+        pictures: color pictures, red first, without lens distortion; some may not show the board.
+        board: the printed board.
+        camera: camera that took the pictures.
 
     Raises:
         InvalidRecordingError: the board is not found.
@@ -141,7 +141,7 @@ def locate_board(
         )
     points = board.corners[ids]
     matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
-    # A plane seen from afar has two poses that fit nearly as well: refine both, keep the better.
+    # A distant plane has two poses that fit almost equally well. Refine both and keep the better.
     _, turns, shifts, *_ = cv2.solvePnPGeneric(
         points, pixels, matrix, None, flags=cv2.SOLVEPNP_IPPE
     )
@@ -169,7 +169,7 @@ def locate_board(
 def locate_boards(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]], board: Board, camera: Camera
 ) -> list[BoardPose | None]:
-    """Return the pose of a board that moves, picture by picture; None where it is not found."""
+    """Return the pose of a moving board in each picture; None where it is not found."""
 
     def one(picture: UInt8[np.ndarray, "height width 3"]) -> BoardPose | None:
         try:

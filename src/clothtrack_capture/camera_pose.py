@@ -1,4 +1,4 @@
-"""Giving the cameras of a recording their place in the world: by the table, a board or a robot."""
+"""Calibration of a recording's camera poses from the table, a board or a robot."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -23,22 +23,22 @@ from clothtrack_capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye
 _BOARD_PICTURES = 8
 
 DOUBTFUL_RESIDUAL_M, LARGEST_RESIDUAL_M = 0.004, 0.010
-"""Distance of the table's depth from a plane (root mean square) [m] above which a placement is
-doubted, and refused. A table 0.5 to 1 m away has 1 to 2 mm."""
+"""Root mean square distance of the table's depth from a plane [m] above which a placement is
+reported as doubtful, and refused. A table 0.5 to 1 m away has 1 to 2 mm."""
 
 _LEAST_INLIERS = 0.5
-"""Share of the depth that is not cloth; with less of it on the plane a placement is doubted."""
+"""Share of the depth off the cloth that must lie on the plane; below it a placement is doubtful."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPlacement:
-    """A camera in a world, and how well that is known.
+    """The pose of a camera in the world, and how well it is known.
 
     Attributes:
         camera: the camera's name.
         world_from_camera: rigid 4 x 4 [m]; gripper_from_camera for a camera on a hand.
-        table: the table in that world, or None where none was found.
-        fit: how it was found and how well it fits; numbers and words for JSON.
+        table: table in that world, or None if none was found.
+        fit: method and quality of the fit, as numbers and words for JSON.
     """
 
     camera: str
@@ -47,7 +47,7 @@ class CameraPlacement:
     fit: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the placement as JSON holds it."""
+        """Return the placement as JSON content."""
         table = None
         if self.table is not None:
             table = {"point": self.table.point.tolist(), "normal": self.table.normal.tolist()}
@@ -60,10 +60,10 @@ class CameraPlacement:
 
 
 def camera_named(recording: Recording, name: str = "") -> Camera:
-    """Return a camera of a recording by its name; the first one without a name.
+    """Return the camera of a recording with this name; the first camera if the name is empty.
 
     Raises:
-        InvalidConfigError: naming those that there are.
+        InvalidConfigError: there is no such camera; the message lists the existing ones.
     """
     cameras = {camera.name: camera for camera in recording.cameras}
     if name and name not in cameras:
@@ -74,16 +74,16 @@ def camera_named(recording: Recording, name: str = "") -> Camera:
 
 
 def place_by_table(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
-    """Return the camera in a world whose z = 0 is the table, from depth alone.
+    """Return the camera pose in a world whose plane z = 0 is the table, from depth alone.
 
     Args:
-        recording: with depth from the camera.
-        camera: the one to be placed.
-        force: although the depth is far from any plane.
+        recording: recording with depth from the camera.
+        camera: camera to calibrate.
+        force: accept the fit even if the depth is far from any plane.
 
     Raises:
-        InvalidRecordingError: no plane dominates the depth, or it is far from the one found, and
-            `force` is not set.
+        InvalidRecordingError: no plane dominates the depth, or the depth is far from the plane
+            found and `force` is not set.
     """
     fit = _plane_fit(recording, camera, force=force)
     pose = world_from_table(camera, fit)
@@ -91,18 +91,18 @@ def place_by_table(recording: Recording, camera: Camera, *, force: bool = False)
 
 
 def table_in_world(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
-    """Return the table in the world that the recording has, from depth.
+    """Return the table in the recording's existing world, from depth.
 
-    The camera stays where it is.
+    The camera pose stays unchanged.
 
     Args:
-        recording: with depth from the camera, whose pose is right.
-        camera: the one that looks at the table.
-        force: although the depth is far from any plane.
+        recording: recording with depth from the camera and a correct camera pose.
+        camera: camera that sees the table.
+        force: accept the fit even if the depth is far from any plane.
 
     Raises:
-        InvalidRecordingError: no plane dominates the depth, or the one found does not face up, or
-            it is far from the depth and `force` is not set.
+        InvalidRecordingError: no plane dominates the depth, or the plane found does not face up, or
+            the depth is far from it and `force` is not set.
     """
     fit = _plane_fit(recording, camera, force=force)
     table = _plane_in(camera.world_from_camera, fit)
@@ -116,7 +116,7 @@ def table_in_world(recording: Recording, camera: Camera, *, force: bool = False)
 
 
 def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit:
-    """Return the plane in the depth, refused where it is none."""
+    """Return the plane in the depth; raise an error if the depth is not planar."""
     fit = fit_recorded_table(recording, camera)
     if fit.residual_m > LARGEST_RESIDUAL_M and not force:
         raise InvalidRecordingError(
@@ -129,7 +129,7 @@ def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit
 
 
 def placement_doubt(placement: CameraPlacement) -> str:
-    """Return why a placement by the table's depth is doubtful; empty where it is not."""
+    """Return why a placement by the table's depth is doubtful; empty if it is not."""
     if placement.fit["by"] != "table":
         return ""
     residual_mm, share = placement.fit["residual_mm"], placement.fit["inlier_share"]
@@ -146,15 +146,16 @@ def placement_doubt(placement: CameraPlacement) -> str:
 def place_by_board(
     recording: Recording, camera: Camera, board: Board, *, thickness_m: float = 0.0
 ) -> CameraPlacement:
-    """Return the camera in a world given by a board that lies on the table.
+    """Return the camera pose in a world defined by a board that lies on the table.
 
-    The origin is on the table under the middle of the board, x runs along its columns, z up.
+    The origin is on the table under the middle of the board. The x axis runs along the board's
+    columns and z points up.
 
     Args:
-        recording: with color pictures of the board.
-        camera: the one to be placed.
-        board: what was printed.
-        thickness_m: how high the print lies over the table [m].
+        recording: recording with color pictures of the board.
+        camera: camera to calibrate.
+        board: the printed board.
+        thickness_m: height of the print above the table [m].
 
     Raises:
         InvalidRecordingError: there are no color pictures, or the board is not found in them.
@@ -189,17 +190,17 @@ def place_by_robot(
     *,
     camera_on_hand: bool = False,
 ) -> tuple[CameraPlacement, HandEye]:
-    """The camera relative to a robot, from pictures of a board at known poses of the gripper.
+    """Return the camera pose relative to a robot, from board pictures at known gripper poses.
 
-    The world is the robot's base; the table in it is found from depth, where a plane dominates.
-    With the camera on the hand the placement is gripper_from_camera.
+    The world is the robot's base frame. The table is found from depth if a plane dominates it. With
+    the camera on the hand the placement is gripper_from_camera.
 
     Args:
-        recording: whose camera took the pictures.
+        recording: recording of the camera that took the pictures.
         camera: that camera.
-        board: what was printed.
-        poses: pictures and poses of the gripper.
-        camera_on_hand: the camera moves with the gripper and the board lies still.
+        board: the printed board.
+        poses: pictures and gripper poses.
+        camera_on_hand: whether the camera moves with the gripper and the board lies still.
 
     Raises:
         InvalidRecordingError: a picture cannot be read, or too few show the board.
@@ -241,7 +242,7 @@ def place_by_robot(
 
 
 def save_placement(path: Path, placement: CameraPlacement) -> None:
-    """Write a placement as a JSON file, as a whole or not at all.
+    """Write a placement as a JSON file, completely or not at all.
 
     Raises:
         StorageError: the disk refuses.
@@ -250,15 +251,16 @@ def save_placement(path: Path, placement: CameraPlacement) -> None:
 
 
 def place_camera(recording: Recording, placement: CameraPlacement, *, force: bool = False) -> None:
-    """Write a camera's placement into a recording; other cameras move along with it.
+    """Write a camera's placement into a recording and move the other cameras along with it.
 
     Args:
-        recording: to be changed.
-        placement: where the camera is; a table of None leaves out the recording's.
-        force: change the world although something is given in it already, which stays as it is.
+        recording: recording to change.
+        placement: pose of the camera; a table of None removes the recording's table.
+        force: change the world even if other data are expressed in it; those data stay unchanged.
 
     Raises:
-        InvalidRecordingError: something is given in the present world, and `force` is not set.
+        InvalidRecordingError: other data are expressed in the present world, and `force` is not
+            set.
         StorageError: the disk refuses.
     """
     camera = camera_named(recording, placement.camera)
@@ -285,7 +287,7 @@ def place_camera(recording: Recording, placement: CameraPlacement, *, force: boo
 
 
 def _given_in_world(recording: Recording) -> list[str]:
-    """Return what of a recording is written in its present world."""
+    """Return which data of a recording are expressed in its present world."""
     things = {
         "picker.csv": bool(recording.picker_paths),
         "the template": recording.cloth.template is not None,
@@ -313,7 +315,7 @@ def _ground() -> Table:
 def _depth_behind_board(
     recording: Recording, camera: Camera, board: Board, seen: BoardPose
 ) -> float | None:
-    """Return how far depth puts the board behind its pose [m] (median); None if unknown."""
+    """Return how far the measured depth lies behind the board's pose [m] (median), or None."""
     frame = next((frame for frame in recording.frames if camera.name in frame.depth), None)
     if frame is None:
         return None
@@ -331,7 +333,7 @@ def _depth_behind_board(
 def _table_in(
     recording: Recording, camera: Camera, pose: Float[np.ndarray, "4 4"]
 ) -> tuple[Table | None, dict[str, Any] | str]:
-    """Return the table that depth shows, in the world of this pose; None with the reason."""
+    """Return the table from depth and its fit report; None and the reason if it is not found."""
     try:
         fit = fit_recorded_table(recording, camera)
     except InvalidRecordingError as error:
@@ -343,6 +345,6 @@ def _table_in(
 
 
 def _plane_in(pose: Float[np.ndarray, "4 4"], fit: TableFit) -> Table | None:
-    """Return the plane in the world of a camera at this pose; None where it does not face up."""
+    """Return the plane in the world of a camera with this pose; None if it does not face up."""
     normal = pose[:3, :3] @ fit.normal
     return Table(pose[:3, 3] - fit.distance_m * normal, normal) if normal[2] > 0.5 else None

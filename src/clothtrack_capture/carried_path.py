@@ -1,8 +1,8 @@
-"""The path of a hand that nobody measured: an arc from pick to place, fitted to the cloth it lifts.
+"""The path of an untracked hand: an arc from pick to place, fitted to the cloth that it lifts.
 
-Where a hand holds a cloth, the cloth is highest. The highest cloth in view near the straight line
-from pick to place therefore rises when the hand rises, goes along with it and comes down with it.
-Start, end and height of the arc are those that this cloth agrees with best.
+A held cloth is highest at the hand. The highest visible cloth near the straight line from pick to
+place therefore rises, moves and comes down with the hand. The start time, end time and height of
+the arc are fitted to this cloth.
 """
 
 from dataclasses import dataclass
@@ -11,15 +11,16 @@ import numpy as np
 from jaxtyping import Float
 
 _USUAL_LIFT_M = 0.08
-"""Height of the arc [m] where the cloth does not show it."""
+"""Height of the arc [m] if it cannot be fitted to the cloth."""
 WINDOW_S = 0.4
-"""Start and end are sought this near to the clicked frames [s]."""
+"""Search range for start and end around the clicked frames [s]."""
 _CORRIDOR_M = 0.05
-"""Cloth as far as this [m] from the line, seen from above, can be the cloth that is held."""
+"""Cloth within this distance of the line [m], seen from above, can be the held cloth."""
 _RISE_M = 0.015
-"""Cloth that is higher than what lies there before and after by more [m] is lifted."""
+"""Cloth is lifted if it is higher than before and after the action by more than this [m]."""
 UNDER_TIP_M = 0.01
-"""The highest cloth in view is so far [m] under the tip: the fingers hide what they hold."""
+"""Distance of the highest visible cloth below the tip [m], because the fingers hide what they
+hold."""
 
 _TRIES = 33
 _LIFTS_M = np.arange(0.02, 0.26, 0.01)
@@ -38,13 +39,14 @@ class CarriedPath:
     """An arc over the straight line from pick to place, slow at both ends.
 
     Attributes:
-        pick: where the cloth is taken [m], world.
-        place: where it is let go [m], world.
+        pick: grasp point on the cloth [m], world.
+        place: release point [m], world.
         up: unit normal of the table.
-        start_s: when the hand begins to rise [s].
-        end_s: when it has come down [s].
+        start_s: time at which the hand begins to rise [s].
+        end_s: time at which the hand has come down [s].
         lift_m: height of the arc over the straight line [m].
-        steepness: of its ends: 2 for a parabola; 4 and 6 rise first and then go across.
+        steepness: exponent of the arc: 2 for a parabola; with 4 and 6 it rises first, then goes
+            across.
     """
 
     pick: Float[np.ndarray, " 3"]
@@ -56,7 +58,7 @@ class CarriedPath:
     steepness: int = 2
 
     def positions_at(self, times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, "samples 3"]:
-        """Return where the hand is [m]; constant before the start and after the end."""
+        """Return the hand positions [m], constant before the start and after the end."""
         share = _share_of_way(times, np.array(self.start_s), np.array(self.end_s))
         line = self.pick + share[:, None] * (self.place - self.pick)
         return line + (self.lift_m * _arc(share, self.steepness))[:, None] * self.up
@@ -64,12 +66,12 @@ class CarriedPath:
 
 @dataclass(frozen=True, eq=False)
 class HighestCloth:
-    """The highest cloth in view near the line from pick to place; NaN where none is in view.
+    """The highest visible cloth near the line from pick to place; NaN where none is visible.
 
     Attributes:
-        time_s: of each frame [s].
-        height_m: over the table [m].
-        along_m: from the pick towards the place [m], seen from above.
+        time_s: time of each frame [s].
+        height_m: height above the table [m].
+        along_m: distance from the pick towards the place [m], seen from above.
     """
 
     time_s: Float[np.ndarray, " frames"]
@@ -84,13 +86,13 @@ def highest_cloth(
     place: Float[np.ndarray, " 3"],
     up: Float[np.ndarray, " 3"],
 ) -> tuple[float, float]:
-    """Height over the table and distance along the line [m] of the highest cloth near the line.
+    """Return height above the table and distance along the line [m] of the highest cloth near it.
 
     Args:
-        points: of the cloth in one frame [m], world.
-        heights: of the points over the table [m].
+        points: cloth points in one frame [m], world.
+        heights: heights of the points above the table [m].
         pick: one end of the line [m].
-        place: its other end [m].
+        place: other end of the line [m].
         up: unit normal of the table.
     """
     forward, way_m = _direction(pick, place, up)
@@ -100,7 +102,7 @@ def highest_cloth(
     if np.count_nonzero(near) < _LEAST_POINTS:
         return float("nan"), float("nan")
     heights, along = heights[near], along[near]
-    # One point alone may be noise; the median of the highest is cloth.
+    # A single point may be noise, so take the median of the highest points.
     top = np.argpartition(heights, -_HIGHEST_POINTS)[-_HIGHEST_POINTS:]
     return float(np.median(heights[top])), float(np.median(along[top]))
 
@@ -111,18 +113,18 @@ def fitted_path(
     heights_m: tuple[float, float],
     between_s: tuple[float, float],
 ) -> CarriedPath | None:
-    """Return the arc whose times and height the highest cloth agrees with best.
+    """Return the arc whose times and height fit the highest cloth best.
 
-    Cloth over the arc speaks against it more than cloth under it, which hangs.
+    Cloth above the arc costs more than cloth below it, because cloth hangs.
 
     Args:
-        clicked: the arc by the clicks alone.
-        seen: the highest cloth around the clicked frames.
-        heights_m: of pick and place over the table [m].
-        between_s: the hand starts and ends between these times [s].
+        clicked: arc given by the clicks alone.
+        seen: highest cloth around the clicked frames.
+        heights_m: heights of pick and place above the table [m].
+        between_s: earliest start and latest end of the hand's motion [s].
 
     Returns:
-        The arc; None when too few frames show lifted cloth.
+        The arc, or None if too few frames show lifted cloth.
     """
     height, known = seen.height_m, np.isfinite(seen.height_m)
     before = _typical(height[known & (seen.time_s < clicked.start_s - 0.5 * _CLICK_ERROR_S)])
@@ -160,11 +162,11 @@ def fitted_path(
 def _direction(
     pick: Float[np.ndarray, " 3"], place: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"]
 ) -> tuple[Float[np.ndarray, " 3"], float]:
-    """Return the unit vector along the table from pick to place, and how far it is [m]."""
+    """Return the unit vector along the table from pick to place, and their distance [m]."""
     flat = (place - pick) - ((place - pick) @ up) * up
     way_m = float(np.linalg.norm(flat))
     if way_m < 1e-3:
-        # Laid down where it was taken: any direction along the table will do.
+        # Pick and place coincide, so any direction along the table will do.
         flat = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     return flat / np.linalg.norm(flat), way_m
 
@@ -172,7 +174,7 @@ def _direction(
 def _candidate_times(
     clicked: CarriedPath, between_s: tuple[float, float]
 ) -> tuple[Float[np.ndarray, " candidates"], Float[np.ndarray, " candidates"]]:
-    """Every pair of a start and an end near the clicked ones, at least half their time apart."""
+    """Return start and end times near the clicked ones, at least half of their interval apart."""
     tried = np.linspace(-WINDOW_S, WINDOW_S, _TRIES)
     pairs = np.meshgrid(clicked.start_s + tried, clicked.end_s + tried, indexing="ij")
     starts, ends = (np.clip(times.ravel(), *between_s) for times in pairs)
@@ -183,7 +185,7 @@ def _candidate_times(
 def _share_of_way(
     times: Float[np.ndarray, "*any"], start_s: np.ndarray, end_s: np.ndarray
 ) -> np.ndarray:
-    """Return the share of the path at each time, by minimum jerk."""
+    """Return the share of the path covered at each time, with a minimum-jerk profile."""
     share = np.clip((times - start_s) / (end_s - start_s), 0.0, 1.0)
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
@@ -197,5 +199,5 @@ def _typical(values: Float[np.ndarray, " values"]) -> float | None:
 
 
 def _mean_square(values: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """Return the mean square over all frames, with 0 for those that do not count."""
+    """Return the mean square over all frames; frames that are not counted contribute 0."""
     return np.where(counted, values**2, 0.0).mean(axis=-1)

@@ -1,4 +1,4 @@
-"""Pick-and-places of a bare hand, from clicks: where and in which frame it took and let go."""
+"""Pick-and-places of a bare hand, from clicks on the grasp and the release."""
 
 import threading
 from dataclasses import dataclass
@@ -30,10 +30,11 @@ class ClickedAction:
     """One pick-and-place by hand.
 
     Attributes:
-        pick: the click on the cloth where it is taken.
-        place: the click where it is let go.
-        path: the hand's arc.
-        seen: whether the cloth told its times and its height; else they are the clicked ones.
+        pick: click on the cloth at the grasp.
+        place: click at the release.
+        path: arc of the hand.
+        seen: whether its times and height were fitted to the cloth; otherwise the times are the
+            clicked ones and the height is the usual one.
     """
 
     pick: Click
@@ -43,16 +44,16 @@ class ClickedAction:
 
 
 class ClickedPicking:
-    """The pick-and-places of one recording as they are clicked, one after the other.
+    """The pick-and-places of one recording, built up click by click.
 
-    Safe to ask from several threads at once.
+    The class is thread-safe.
     """
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
-        """Look whether the recording tells the cloth from a hand.
+        """Check that the cloth in the recording can be told apart from a hand.
 
         Raises:
-            InvalidRecordingError: it does not, or there is no table, color or depth.
+            InvalidRecordingError: it cannot, or there is no table, color or depth.
         """
         self.views = ClothViews(recording, camera)
         self.times = np.array([frame.time_s for frame in recording.frames])
@@ -62,15 +63,15 @@ class ClickedPicking:
 
     @property
     def clicks(self) -> tuple[Click, ...]:
-        """Pick, place, pick, place and so on, in order of their frames."""
+        """Clicks in order of their frames: pick, place, pick, place and so on."""
         return tuple(self._clicks)
 
     def add(self, click: Click) -> None:
-        """Take the next click: a pick, or the place of the last pick.
+        """Add the next click: a pick, or the place of the last pick.
 
         Raises:
-            InvalidConfigError: there is no such frame or pixel, it comes before the last click, or
-                there is no cloth where it is taken.
+            InvalidConfigError: there is no such frame or pixel, the click is not after the last
+                one, or there is no cloth at a pick.
         """
         with self._lock:
             self.views.require(click)
@@ -85,7 +86,7 @@ class ClickedPicking:
             self._clicks.append(click)
 
     def undo(self) -> None:
-        """Take the last click back, if there is one."""
+        """Remove the last click, if there is one."""
         with self._lock:
             del self._clicks[-1:]
 
@@ -103,13 +104,13 @@ class ClickedPicking:
             )
 
     def keep(self, name: str) -> tuple[tuple[ClickedAction, PickAndPlace], ...]:
-        """Write path and actions into the recording, in place of those that it has.
+        """Write path and actions into the recording, replacing existing ones.
 
         Args:
-            name: what to call the hand.
+            name: name of the hand.
 
         Returns:
-            Every action as it was clicked and as it was written.
+            Every action, as clicked and as written.
 
         Raises:
             InvalidConfigError: nothing was clicked, or the last pick has no place.
@@ -150,17 +151,18 @@ class ClickedPicking:
     def _fitted(
         self, placed_before: int | None, pick: Click, place: Click, picked_after: int | None
     ) -> ClickedAction:
-        """Return a pick-and-place between the frames of the last place and of the next pick."""
+        """Return the pick-and-place fitted between the previous place and the next pick."""
         table, times = self.views.table, self.times
         first = placed_before or 0
         last = len(times) - 1 if picked_after is None else picked_after
-        # In the frame of a place the hand is over the cloth: it is seen there when that has left.
+        # At the place the hand still hides the cloth, so look at frames after the hand has left.
         laid = self.views.cloth_at(place, range(place.frame, last + 1))
         ends = self._taken_at(pick, first), self.views.table_at(place) if laid is None else laid
         clicked = CarriedPath(
             *ends, table.normal, float(times[pick.frame]), float(times[place.frame])
         )
-        # Between two actions the hand goes from one to the next: each has half of the frames.
+        # Between two actions the hand moves from one to the next. Each action gets half of the
+        # frames.
         between = (
             float(times[0 if placed_before is None else (first + pick.frame) // 2 + 1]),
             float(times[-1 if picked_after is None else (place.frame + last) // 2]),
@@ -181,7 +183,7 @@ class ClickedPicking:
         return ClickedAction(pick, place, path or clicked, path is not None)
 
     def _taken_at(self, click: Click, first: int) -> Float[np.ndarray, " 3"]:
-        """Return the cloth at a pick [m], from the frames before the hand hides it."""
+        """Return the cloth position at a pick [m], from frames before the hand hides it."""
         point = self.views.cloth_at(click, range(click.frame, first - 1, -1))
         if point is None:
             raise InvalidConfigError(
@@ -192,7 +194,7 @@ class ClickedPicking:
         return point
 
     def _spans(self, clicked: tuple[ClickedAction, ...], name: str) -> tuple[PickAndPlace, ...]:
-        """Cuts the recording between the actions, where the hand hides least."""
+        """Return the actions' frame ranges, cut where the hand hides least."""
         times = self.times
         ends = [times[0], *(each.path.end_s for each in clicked[:-1])]
         starts = [
@@ -205,7 +207,7 @@ class ClickedPicking:
         return tuple(PickAndPlace(*span, (name,)) for span in zip(starts, lasts, strict=True))
 
     def _without_hand(self, frames: Int[np.ndarray, " frames"]) -> int:
-        """Return the last of these frames in which the hand hides hardly more than in any."""
+        """Return the last of these frames in which the hand hides almost as little as possible."""
         shares = np.array([self.views.of(int(index)).hand_share for index in frames])
         limit = shares.min() + _ALMOST_LEAST * np.ptp(shares)
         return int(frames[np.flatnonzero(shares <= limit)[-1]])
@@ -213,7 +215,7 @@ class ClickedPicking:
     def _path(
         self, clicked: tuple[ClickedAction, ...], spans: tuple[PickAndPlace, ...]
     ) -> PickerPath:
-        """Samples where each hold starts and ends, at the frames between, and where spans begin."""
+        """Return the path, sampled at ends of holds, frames between them and starts of spans."""
         times = self.times
         rows: list[tuple[float, Float[np.ndarray, " 3"], bool]] = []
         for each, span in zip(clicked, spans, strict=True):

@@ -1,4 +1,4 @@
-"""What one camera shows of a cloth that a hand moves: its points, and how much the hand hides."""
+"""Views of a cloth moved by a hand: its visible points, and how much the hand hides."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.segmentation import default_segmenter, height_picture
 
 SNAP_M = 0.015
-"""A click beside the cloth counts for the cloth that is so near [m]."""
+"""Largest distance at which a click next to the cloth still counts as on the cloth [m]."""
 
 _TOUCH_PIXELS = 2.5
 _TOUCH_FRAMES = 10
@@ -36,13 +36,13 @@ class Click:
 
 @dataclass(frozen=True, eq=False)
 class _ClothView:
-    """The cloth as one frame shows it.
+    """The cloth as seen in one frame.
 
     Attributes:
-        points: measured points of the cloth [m], world.
-        pixels: column and row of each.
-        inner: which of them are off the mask's rim, where depth mixes cloth and hand.
-        hand_share: share of the picture that shows something high that is no cloth.
+        points: measured cloth points [m], world.
+        pixels: column and row of each point.
+        inner: points away from the mask's rim, where depth mixes cloth and hand.
+        hand_share: share of the picture that shows something high other than the cloth.
     """
 
     points: Float[np.ndarray, "points 3"]
@@ -52,23 +52,23 @@ class _ClothView:
 
 
 class ClothViews:
-    """The frames of a recording as one camera shows them; the last ones are remembered."""
+    """The frames of a recording as seen by one camera; the latest ones are cached."""
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
-        """Look whether the recording tells the cloth from a hand.
+        """Check that the cloth in the recording can be told apart from a hand.
 
         Raises:
-            InvalidRecordingError: it does not, or there is no table, color or depth.
+            InvalidRecordingError: it cannot, or there is no table, color or depth.
         """
         self.recording, self.camera = recording, camera
         self.table = _required_table(recording, camera)
         self.of = lru_cache(maxsize=_REMEMBERED)(self._seen_in)
 
     def require(self, click: Click) -> None:
-        """Refuse a click that is in no frame or outside its picture.
+        """Refuse a click on a missing frame or outside the picture.
 
         Raises:
-            InvalidConfigError: it is.
+            InvalidConfigError: the click is refused.
         """
         self._require_frame(click.frame)
         width, height = self.camera.width, self.camera.height
@@ -88,7 +88,7 @@ class ClothViews:
         return read_color(self.recording.frames[frame].color[self.camera.name])
 
     def mask(self, frame: int) -> Bool[np.ndarray, "height width"]:
-        """Return what is cloth in a frame.
+        """Return the mask of the cloth in a frame.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -97,9 +97,10 @@ class ClothViews:
         return self._depth_and_mask(frame)[1]
 
     def cloth_at(self, click: Click, frames: Iterable[int]) -> Float[np.ndarray, " 3"] | None:
-        """The cloth at a click's pixel [m], world, over the first of these frames that show it.
+        """Return the cloth at a clicked pixel [m], world, from the first frames that show it.
 
-        Where no frame shows cloth at the pixel, the nearest cloth within `SNAP_M` of it; else None.
+        If no frame shows cloth at the pixel, return the nearest cloth within `SNAP_M` of it, or
+        None if there is none.
         """
         touched, snapped = [], []
         for index in frames:
@@ -119,7 +120,7 @@ class ClothViews:
         return np.median(chosen, axis=0) if chosen else None
 
     def table_at(self, click: Click) -> Float[np.ndarray, " 3"]:
-        """Return the table at a click's pixel [m], world."""
+        """Return the point on the table at a click's pixel [m], world."""
         camera, normal = self.camera, self.table.normal
         ray = camera.world_from_camera[:3, :3] @ np.array(
             [(click.column - camera.cx) / camera.fx, (click.row - camera.cy) / camera.fy, 1.0]
@@ -147,7 +148,7 @@ class ClothViews:
         frame = recording.frames[index]
         depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
         if camera.name not in frame.mask and recording.cloth.color is None:
-            # Height alone, the last resort, would take the hand for cloth.
+            # The fallback segments by height alone and would take the hand for cloth.
             return depth, np.zeros(depth.shape, dtype=bool)
         find = default_segmenter(recording, frame, camera)
         color = read_color(frame.color[camera.name])
@@ -162,7 +163,7 @@ class ClothViews:
 
 
 def _required_table(recording: Recording, camera: Camera) -> Table:
-    """Return the recording's table, once everything else that clicks need is there too."""
+    """Return the recording's table after checking that clicks have all the data they need."""
     folder = recording.folder
     if recording.table is None:
         raise InvalidRecordingError(

@@ -1,4 +1,4 @@
-"""What this package needs beyond tracking: the extras [capture] and [ros2]."""
+"""Checks for the optional dependencies of this package: the extras [capture] and [ros2]."""
 
 from clothtrack.files.extras import require_extra
 
@@ -7,7 +7,7 @@ def require_capture() -> None:
     """Check that the extra [capture] is installed.
 
     Raises:
-        InvalidConfigError: with the command that installs it.
+        InvalidConfigError: it is not; the message has the command that installs it.
     """
     require_extra("capture", ("lz4", "mcap", "rosbags", "zstandard"), "importing")
 
@@ -16,6 +16,6 @@ def require_ros2() -> None:
     """Check that the extra [ros2] is installed.
 
     Raises:
-        InvalidConfigError: with the command that installs it.
+        InvalidConfigError: it is not; the message has the command that installs it.
     """
     require_extra("ros2", ("cyclonedds", "rosbags"), "speaking ROS 2")

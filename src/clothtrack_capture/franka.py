@@ -1,7 +1,7 @@
-"""A Franka arm that flattens, through franky-control ([franka]); all limits before any motion.
+"""A Franka arm for flattening, through franky-control ([franka]).
 
-The arm is driven in short straight legs and stops after each, where a picture is taken: slow, and
-easy to stop by hand. Nothing moves unless `may_move` is set.
+All limits are checked before any motion. The arm moves in short straight legs and stops after each
+to take a picture, which is slow and easy to stop by hand. Nothing moves unless `may_move` is set.
 """
 
 import itertools
@@ -31,7 +31,8 @@ from clothtrack.recordings.recording import PickerPath
 logger = logging.getLogger(__name__)
 
 _HIGHEST_SPEED = 0.5
-"""No configuration allows more than this [m/s]: cloth is not worth a faster arm near a table."""
+"""Highest speed that a configuration may allow [m/s]; cloth does not justify a faster arm near a
+table."""
 
 _DOWNWARDS = (1.0, 0.0, 0.0, 0.0)
 """Quaternion (x, y, z, w) of a flange that points down, x forward."""
@@ -39,14 +40,14 @@ _DOWNWARDS = (1.0, 0.0, 0.0, 0.0)
 
 @runtime_checkable
 class Arm(Protocol):
-    """What is asked of an arm; positions are of the finger tips, in the arm's base frame [m]."""
+    """The arm interface; positions are of the finger tips, in the arm's base frame [m]."""
 
     def position(self) -> Float[np.ndarray, " 3"]:
-        """Return where the tips are now."""
+        """Return the current position of the tips [m]."""
         ...
 
     def move(self, position: Float[np.ndarray, " 3"], speed: float) -> None:
-        """Go there in a straight line, fingers down, and stop; speed in m/s."""
+        """Move there in a straight line, fingers down, and stop; speed in m/s."""
         ...
 
     def open(self) -> None:
@@ -54,7 +55,7 @@ class Arm(Protocol):
         ...
 
     def close(self) -> bool:
-        """Close the fingers; whether they hold something."""
+        """Close the fingers and return whether they hold something."""
         ...
 
 
@@ -63,12 +64,14 @@ class FrankaConfig(Checked):
     """The cell around the arm.
 
     Attributes:
-        limits: where the finger tips may be and how fast, in the world frame.
+        limits: allowed positions and speed of the finger tips, in the world frame.
         base_from_world: rigid transform, world frame to the arm's base frame (hand-eye).
-        home_m: where the tips wait so that the arm hides nothing of the table, world frame [m].
-        hover_m: how far above pick and place the empty gripper comes and goes [m].
-        leg_m: longest straight leg between two stops while cloth is carried [m].
-        press_m: how far below the seen surface the fingers close [m]; the table limits it.
+        home_m: waiting position of the tips, where the arm hides nothing of the table, world frame
+            [m].
+        hover_m: height above pick and place at which the empty gripper arrives and leaves [m].
+        leg_m: longest straight leg between two stops while carrying cloth [m].
+        press_m: depth below the visible surface at which the fingers close [m]; limited by the
+            table.
     """
 
     limits: MotionLimits = field(
@@ -83,7 +86,7 @@ class FrankaConfig(Checked):
     press_m: NotNegative = 0.004
 
     def __post_init__(self) -> None:
-        """Refuse a cell that is not safe to begin with.
+        """Refuse an unsafe cell.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -116,26 +119,26 @@ class FrankaRobot:
         may_move: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Remember arm and camera; nothing moves.
+        """Store arm and camera without moving anything.
 
         Args:
-            arm: `FrankyArm`, or anything that speaks `Arm`.
-            camera: takes a picture now; its camera's pose is in the world frame.
-            config: the cell.
-            may_move: nothing moves unless this is set.
-            clock: of the measured path [s]; pictures get its time.
+            arm: `FrankyArm`, or any other `Arm`.
+            camera: function that takes a picture now; its camera pose is in the world frame.
+            config: configuration of the cell.
+            may_move: whether the arm may move at all.
+            clock: clock for the measured path and the pictures [s].
         """
         self._arm, self._camera, self.config = arm, camera, config or FrankaConfig()
         self._may_move, self._clock = may_move, clock
         self._begun = clock()
 
     def observe(self) -> RgbdFrame:
-        """Return a picture, whatever the arm does."""
+        """Take a picture, regardless of the arm's state."""
         shown = self._camera()
         return RgbdFrame(self._clock() - self._begun, shown.camera, shown.depth_m, shown.color)
 
     def check(self, action: PickPlace) -> Reachability:
-        """Return whether every point of the way, and the way to it, is within the limits."""
+        """Return whether the whole path, from and back to home, is within the limits."""
         if not np.isfinite(action.pick).all() or not np.isfinite(action.place).all():
             return Reachability(False, "the action is not finite")
         legs = np.vstack([self.config.home_m, self._points(action), self.config.home_m])
@@ -143,10 +146,11 @@ class FrankaRobot:
         return Reachability(not reason, reason)
 
     def execute(self, action: PickPlace) -> Execution:
-        """Pick and place; the path is what the arm measured, with a picture at every stop.
+        """Pick and place, and return the measured path and a picture from every stop.
 
         Raises:
-            InvalidConfigError: the action is outside a limit, or nothing may move; nothing has.
+            InvalidConfigError: the action is outside a limit, or motion is not allowed. Nothing has
+                moved then.
         """
         reachability = self.check(action)
         if not reachability.reachable:
@@ -173,15 +177,15 @@ class FrankaRobot:
                     self._arm.open()
                     way.stop(closed=False)
         except Exception as failure:
-            # Whatever the driver raises: the arm has stopped, and the operator must know.
+            # Catch every driver error: the arm has stopped, and the operator must know.
             logger.exception("the arm stopped")
             error = f"{type(failure).__name__}: {failure}"
         return Execution(way.path(), tuple(way.film), grasped, error)
 
     def home(self) -> None:
-        """Go where the arm hides nothing; without leave to move, stay.
+        """Move home, where the arm hides nothing; do nothing unless motion is allowed.
 
-        From wherever it is, straight up first.
+        The arm first moves straight up from its current position.
         """
         if not self._may_move:
             return
@@ -196,10 +200,10 @@ class FrankaRobot:
         self._go(np.array(config.home_m))
 
     def _points(self, action: PickPlace) -> Float[np.ndarray, "points 3"]:
-        """Return the waypoints, fingers a little below the seen surface but never in the table."""
+        """Return the waypoints, with fingers just below the visible surface, above the table."""
         config = self.config
         lowest = config.limits.table_height_m + config.limits.clearance_m
-        # A pick that is itself below the limit stays there and is refused.
+        # A pick that is already below the limit is left unchanged, so that it is refused.
         pressed = min(action.pick[2], max(action.pick[2] - config.press_m, lowest))
         pick = np.array([action.pick[0], action.pick[1], pressed])
         return waypoints(PickPlace(pick, action.place, action.lift_m), config.hover_m)
@@ -208,12 +212,12 @@ class FrankaRobot:
         return self.config.leg_m if carrying else np.inf
 
     def _here(self) -> Float[np.ndarray, " 3"]:
-        """Return where the tips are, in the world [m]."""
+        """Return the position of the tips in the world [m]."""
         turn, shift = self.config.base_from_world[:3, :3], self.config.base_from_world[:3, 3]
         return turn.T @ (self._arm.position() - shift)
 
     def _go(self, point: Float[np.ndarray, " 3"]) -> None:
-        """One leg; the limits once more, whoever calls."""
+        """Move one leg, after checking the limits again for any caller."""
         self._require_motion()
         refusal = self.config.limits.refusal(point[None])
         if refusal:
@@ -229,12 +233,12 @@ class FrankaRobot:
             )
 
     def measured(self) -> tuple[float, Float[np.ndarray, " 3"]]:
-        """Return the time [s] and place of the tips in the world [m], as the arm measures it."""
+        """Return the time [s] and the measured position of the tips in the world [m]."""
         return self._clock() - self._begun, self._here()
 
 
 class _MeasuredPath:
-    """What an arm measured at its stops."""
+    """Measurements of an arm at its stops."""
 
     def __init__(self, robot: FrankaRobot) -> None:
         self._robot = robot
@@ -242,7 +246,7 @@ class _MeasuredPath:
         self._samples: list[tuple[float, Float[np.ndarray, " 3"], bool]] = []
 
     def stop(self, *, closed: bool) -> None:
-        """Note where the tips are, and take a picture."""
+        """Record the position of the tips, and take a picture."""
         time_s, tip = self._robot.measured()
         self._samples.append((time_s, tip, closed))
         frame = self._robot.observe()
@@ -250,7 +254,7 @@ class _MeasuredPath:
             self.film.append(frame)
 
     def path(self) -> PickerPath:
-        """Return the samples whose time advances."""
+        """Return the path with strictly increasing times."""
         kept: list[tuple[float, Float[np.ndarray, " 3"], bool]] = []
         for sample in self._samples:
             if not kept or sample[0] > kept[-1][0]:
@@ -267,7 +271,7 @@ class _MeasuredPath:
 def subdivided(
     points: Float[np.ndarray, "points 3"], longest_m: float
 ) -> Float[np.ndarray, "more_points 3"]:
-    """Return the same way with no leg longer than this [m]."""
+    """Return the same path with no leg longer than this [m]."""
     parts = [points[:1]]
     for start, end in itertools.pairwise(points):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / longest_m - 1e-9)))
@@ -279,18 +283,18 @@ class FrankyArm:
     """An arm through franky-control; the server's version must match the robot's."""
 
     def __init__(self, address: str, *, speed_share: float = 0.05, force_n: float = 10.0) -> None:
-        """Connect; nothing moves.
+        """Connect without moving anything.
 
         Args:
-            address: of the robot.
-            speed_share: of the arm's own limits on speed, acceleration and jerk.
-            force_n: of the fingers [N].
+            address: network address of the robot.
+            speed_share: share of the arm's own limits on speed, acceleration and jerk.
+            force_n: grasping force of the fingers [N].
 
         Raises:
             InvalidConfigError: the extra [franka] is not installed.
         """
         try:
-            # By name: type checkers see it in some installations and not in others.
+            # Import by name, because type checkers find the module in some installations only.
             franky = import_module("franky")
         except ImportError as error:
             raise InvalidConfigError(
@@ -304,12 +308,12 @@ class FrankyArm:
         self._force_n = force_n
 
     def position(self) -> Float[np.ndarray, " 3"]:
-        """Return where the end effector is [m], base frame."""
+        """Return the position of the end effector [m], base frame."""
         pose = self._robot.current_cartesian_state.pose.end_effector_pose
         return np.array(pose.translation, dtype=np.float64).reshape(3)
 
     def move(self, position: Float[np.ndarray, " 3"], speed: float) -> None:
-        """A straight line, fingers down."""
+        """Move in a straight line, fingers down."""
         franky = self._franky
         self._robot.translation_velocity_limit.set(float(speed))
         target = franky.Affine(position.tolist(), list(_DOWNWARDS))
@@ -320,5 +324,5 @@ class FrankyArm:
         self._gripper.open(0.05)
 
     def close(self) -> bool:
-        """Close on whatever is there; cloth is thin, so that any width is a grasp."""
+        """Close the fingers; any width counts as a grasp, because cloth is thin."""
         return bool(self._gripper.grasp(0.0, 0.03, self._force_n, epsilon_outer=0.08))

@@ -1,10 +1,10 @@
-"""Where a camera is relative to a robot, from pictures of a board and the robot's poses.
+"""Hand-eye calibration: a camera's pose relative to a robot, from board pictures and robot poses.
 
 With the camera fixed and the board in the gripper, base_from_gripper(i) gripper_from_board =
 base_from_camera camera_from_board(i) in every picture i. With the camera on the hand and the board
-fixed, base_from_gripper(i) gripper_from_camera camera_from_board(i) = base_from_board. Both read
-robot(i) X board(i) = Z with two unknowns: a first guess as in Park and Martin (1994,
-doi:10.1109/70.326576), then least squares over X and Z together. (`cv2.calibrateHandEye` is
+fixed, base_from_gripper(i) gripper_from_camera camera_from_board(i) = base_from_board. Both have
+the form robot(i) X board(i) = Z with two unknowns. A first guess as in Park and Martin (1994,
+doi:10.1109/70.326576) is refined by least squares over X and Z together. (`cv2.calibrateHandEye` is
 missing from OpenCV 5's Python module.)
 """
 
@@ -29,15 +29,15 @@ COLUMNS = {"picture": Column(filled, "name a picture")} | dict.fromkeys(
 _LEAST_POSES = 5
 _LEAST_TURN_DEG = 10.0
 _METERS_PER_RADIAN = 0.3
-"""At this distance from the board an angle counts as much as the length it sweeps [m]."""
+"""Weight of rotation against translation errors: the lever arm at which both count the same [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotPose:
-    """One picture and where the gripper was, as the robot says.
+    """One picture and the gripper pose reported by the robot.
 
     Attributes:
-        picture: the color picture of the board.
+        picture: color picture of the board.
         base_from_gripper: rigid 4 x 4 [m].
     """
 
@@ -47,13 +47,13 @@ class RobotPose:
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """A camera relative to a robot.
+    """The pose of a camera relative to a robot.
 
     Attributes:
         pose: base_from_camera of a fixed camera, gripper_from_camera of one on the hand.
         board: gripper_from_board, or base_from_board.
-        errors_m: per picture, how far the board is from where both poses put it [m].
-        errors_deg: per picture, the angle between the two [degrees].
+        errors_m: per picture, distance of the board from its fitted position [m].
+        errors_deg: per picture, angle between the board and its fitted orientation [degrees].
     """
 
     pose: Float[np.ndarray, "4 4"]
@@ -63,12 +63,12 @@ class HandEye:
 
 
 def read_robot_poses(path: Path) -> list[RobotPose]:
-    """Poses of the gripper in the robot's base and the pictures taken there, from a CSV file.
+    """Read gripper poses in the robot's base, and the pictures taken there, from a CSV file.
 
-    The head is `picture,x_m,y_m,z_m,qx,qy,qz,qw`; pictures are relative to the file.
+    The header is `picture,x_m,y_m,z_m,qx,qy,qz,qw`. Picture paths are relative to the file.
 
     Raises:
-        InvalidRecordingError: the file cannot be read or a row is not what it should be.
+        InvalidRecordingError: the file cannot be read or a row is invalid.
     """
     return [_pose(path, place, row) for place, row in read_csv(path, COLUMNS)]
 
@@ -79,15 +79,16 @@ def calibrate_hand_eye(
     *,
     camera_on_hand: bool = False,
 ) -> HandEye:
-    """Return the camera's pose relative to the robot that makes all pictures agree best.
+    """Return the camera pose relative to the robot that fits all pictures best.
 
     Args:
         robot: base_from_gripper at each picture.
-        camera_from_board: where the board was seen in each.
-        camera_on_hand: the camera moves with the gripper; otherwise the board does.
+        camera_from_board: pose of the board in each picture.
+        camera_on_hand: whether the camera moves with the gripper; otherwise the board does.
 
     Raises:
-        InvalidRecordingError: too few poses, or they hardly turn, so that nothing is determined.
+        InvalidRecordingError: there are too few poses, or they rotate too little to determine the
+            result.
     """
     if len(robot) < _LEAST_POSES:
         raise InvalidRecordingError(
@@ -117,14 +118,15 @@ def calibrate_hand_eye(
 def _first_guess(
     moves: Float[np.ndarray, "poses 4 4"], boards: Float[np.ndarray, "poses 4 4"]
 ) -> Float[np.ndarray, "4 4"]:
-    """X of A X = X B for the motions A, B between all pairs of pictures."""
+    """Solve A X = X B for X, with the motions A, B between all pairs of pictures."""
     pairs = list(combinations(range(len(moves)), 2))
     ours = np.stack([np.linalg.inv(moves[j]) @ moves[i] for i, j in pairs])
     theirs = np.stack([boards[j] @ np.linalg.inv(boards[i]) for i, j in pairs])
     alpha = Rotation.from_matrix(ours[:, :3, :3]).as_rotvec()
     beta = Rotation.from_matrix(theirs[:, :3, :3]).as_rotvec()
-    # The second largest spread of rotation vectors: turns about one axis alone leave a direction
-    # open. Half a turn has two rotation vectors, so such pairs say nothing.
+    # Check the second largest spread of the rotation vectors, because rotations about one axis
+    # leave one direction undetermined. Half a turn has two rotation vectors, so such pairs are left
+    # out.
     sound = np.linalg.norm(alpha, axis=1) < np.radians(170.0)
     spread = np.sqrt(np.linalg.eigvalsh(alpha[sound].T @ alpha[sound] / max(sound.sum(), 1)))
     if np.degrees(spread[1]) < _LEAST_TURN_DEG:
@@ -148,7 +150,7 @@ def _disagreement(
     pose: Float[np.ndarray, "4 4"],
     board: Float[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "poses 3"], Float[np.ndarray, "poses 3"]]:
-    """Return how far the poses put the board from its place, per picture: [m] and [rad]."""
+    """Return the deviation of the board from its fitted pose per picture, in [m] and [rad]."""
     text = moves @ pose @ boards
     turns = Rotation.from_matrix(board[:3, :3].T @ text[:, :3, :3]).as_rotvec()
     return text[:, :3, 3] - board[:3, 3], turns

@@ -1,7 +1,8 @@
-"""Recording from a live camera: every frame on disk as it comes, whatever happens next.
+"""Recording from a live camera, with every frame written to disk as it arrives.
 
-Frames and a journal go to a hidden folder `.NAME.capture` beside the target. Finishing and
-salvaging are the same: what the journal lists and the disk holds whole becomes the recording.
+Frames and a journal go to a hidden folder `.NAME.capture` next to the target. Finishing and
+salvaging do the same: the frames that the journal lists and whose files are complete become the
+recording.
 """
 
 import json
@@ -39,10 +40,10 @@ WAITING_FRAMES = 60
 
 @dataclass(frozen=True, eq=False)
 class CapturedFrame:
-    """One moment as a live camera gives it.
+    """One frame from a live camera.
 
     Attributes:
-        time_s: on the camera's clock [s].
+        time_s: time on the camera's clock [s].
         color: color picture, red first, registered to depth; None without a color camera.
         depth_m: depth [m], 0 where nothing was measured.
     """
@@ -54,29 +55,29 @@ class CapturedFrame:
 
 @runtime_checkable
 class DepthCamera(Protocol):
-    """A live camera: a real one, a simulated one, or a recording that is played again."""
+    """A live camera: a real one, a simulated one, or a replayed recording."""
 
     camera: Camera
     depth_unit_m: float
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield frames as they come, until there are no more."""
+        """Yield frames as they arrive, until there are no more."""
         ...
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         ...
 
 
 class ReplayedCamera:
-    """A recording, played as if it were a camera."""
+    """A recording replayed as if it were a camera."""
 
     def __init__(self, recording: Recording, *, speed: float = 1.0) -> None:
         """Play the first camera of a recording.
 
         Args:
-            recording: with depth.
-            speed: how much faster than it was recorded; infinite for without waiting.
+            recording: recording with depth.
+            speed: factor on the recording's speed; infinite to replay without waiting.
 
         Raises:
             InvalidRecordingError: the camera has no depth.
@@ -91,7 +92,7 @@ class ReplayedCamera:
             )
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield frames in the rhythm of the recording."""
+        """Yield frames at the times of the recording, scaled by the speed."""
         start, name = time.monotonic(), self.camera.name
         for frame in self._frames:
             wait = (frame.time_s - self._frames[0].time_s) / self._speed
@@ -102,17 +103,18 @@ class ReplayedCamera:
             )
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing; there is no device to release."""
 
 
 @dataclass
 class _CaptureState:
-    """How a capture goes.
+    """The state of a capture.
 
     Attributes:
-        written: frames on disk.
-        dropped: frames that came faster than the disk takes them.
-        error: what stopped the writing; empty while all is well.
+        written: number of frames on disk.
+        dropped: number of frames that came faster than the disk could take them, or not after the
+            last.
+        error: reason why writing stopped; empty while there is none.
     """
 
     written: int = 0
@@ -121,10 +123,10 @@ class _CaptureState:
 
 
 class CaptureWriter:
-    """Writes frames as they come, from a thread of its own, so that the camera never waits."""
+    """A writer of frames with its own thread, so that the camera never waits."""
 
     def __init__(self, target: Path, source: DepthCamera, provenance: Mapping[str, Any]) -> None:
-        """Make the hidden folder.
+        """Create the hidden folder.
 
         Raises:
             StorageError: the target or an unfinished capture of it exists, or the disk refuses.
@@ -160,7 +162,7 @@ class CaptureWriter:
         self._thread.start()
 
     def add(self, frame: CapturedFrame) -> None:
-        """Take a frame; it is dropped, and counted, when the disk is too far behind."""
+        """Add a frame; drop and count it if the disk is too far behind."""
         if self._last_s is not None and frame.time_s <= self._last_s:
             self.state.dropped += 1
             return
@@ -172,11 +174,11 @@ class CaptureWriter:
             self._last_s = frame.time_s
 
     def mark(self, step: str) -> None:
-        """Note that a step of the protocol begins with the next frame."""
+        """Record that a step of the protocol begins with the next frame."""
         self._waiting.put(step)
 
     def finish(self) -> Recording:
-        """Write what is waiting, and make it a recording.
+        """Write the waiting frames, and make a recording of all frames.
 
         Raises:
             StorageError: the disk refused; what was written can be salvaged.
@@ -215,7 +217,7 @@ class CaptureWriter:
         self.state.written += 1
 
     def _note(self, entry: Mapping[str, Any], *, flush: bool) -> None:
-        """Append to the journal; it is in the kernel at once, and on the disk when flushed."""
+        """Append an entry to the journal; `flush` forces it to the disk."""
         self._journal.write(json.dumps(entry) + "\n")
         self._journal.flush()
         if flush:
@@ -223,17 +225,17 @@ class CaptureWriter:
 
 
 def capture_folder(target: Path) -> Path:
-    """Return where frames of a recording go while it is captured."""
+    """Return the folder that holds a recording's frames during capture."""
     return Path(target).with_name(f".{Path(target).name}.capture")
 
 
 def salvage_capture(target: Path) -> Recording:
-    """Make a recording of what a capture has written, whether it was finished or broken off.
+    """Make a recording of the frames that a finished or interrupted capture has written.
 
-    Frames whose files are missing or torn are left out; the last ones, usually.
+    Frames whose files are missing or incomplete are left out; usually these are the last ones.
 
     Raises:
-        InvalidRecordingError: there is no capture of this name, or no whole frame in it.
+        InvalidRecordingError: there is no capture of this name, or it has no complete frame.
         StorageError: the disk refuses.
     """
     target, folder = Path(target), capture_folder(target)
@@ -279,7 +281,7 @@ def salvage_capture(target: Path) -> Recording:
 def _read_journal(
     folder: Path,
 ) -> tuple[dict[str, Any], list[dict[str, Any]], list[list[Any]]]:
-    """Return head, frames and marks of a capture; a last line that breaks off is left out."""
+    """Return head, frames and marks of a capture; incomplete lines are skipped."""
     with storage(folder / _JOURNAL):
         lines = (folder / _JOURNAL).read_bytes().split(b"\n")
     notes: list[dict[str, Any]] = []
@@ -300,7 +302,7 @@ def _read_journal(
 
 
 def _is_whole(folder: Path, entry: Mapping[str, Any], unit_m: float) -> bool:
-    """Return whether both pictures of a frame can be decoded, and something was measured."""
+    """Return whether a frame's pictures can be decoded and it has any depth."""
     try:
         depth = read_depth(folder / conventional_name("depth", entry["index"]), unit_m)
         if entry["color"]:

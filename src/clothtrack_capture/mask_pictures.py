@@ -1,4 +1,4 @@
-"""Pictures of masks: the cloth in its own colors with an outline, all else turned down."""
+"""Pictures of masks: the cloth in its own colors with an outline, everything else dimmed."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,9 +15,9 @@ from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _JPEG_QUALITY = 88
 _COLUMNS, _ROWS = 5, 4
-"""Pictures beside and, at most, above each other in a contact sheet."""
+"""Columns and largest number of rows of a contact sheet."""
 _WIDTH = 300
-"""Width of one of them [pixels]."""
+"""Width of one picture in the sheet [pixels]."""
 
 
 def masked_picture(
@@ -26,7 +26,7 @@ def masked_picture(
     *,
     width: int,
 ) -> Picture:
-    """Return a picture of this width [pixels] with the mask, if any, drawn on it."""
+    """Return the picture scaled to this width [pixels], with the mask, if any, drawn on it."""
     height = max(1, round(color.shape[0] * width / color.shape[1]))
     size = width, height
     small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
@@ -42,23 +42,23 @@ def masked_picture(
 
 
 def jpeg(picture: Picture) -> bytes:
-    """Return a JPEG file of a picture."""
+    """Return a picture encoded as JPEG."""
     flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), flags)[1].tobytes()
 
 
 def spread(frames: Sequence[int], count: int) -> list[int]:
-    """Return at most so many of the frames, from the first to the last, evenly spread."""
+    """Return at most `count` of the frames, evenly spaced from the first to the last."""
     places = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
     return [frames[place] for place in places]
 
 
 def write_mask_sheet(setup: SegmentationSetup, path: Path) -> Path:
-    """Write a contact sheet of masks, from all over the recording, as a PNG.
+    """Write a contact sheet of masks from the whole recording as a PNG.
 
     Args:
-        setup: the masks.
-        path: the picture to write.
+        setup: source of the masks.
+        path: picture file to write.
 
     Raises:
         StorageError: the disk refuses.

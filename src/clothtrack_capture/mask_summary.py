@@ -1,4 +1,4 @@
-"""How much of the pictures is cloth, and which masks are to be doubted."""
+"""A summary of masks: how much of the pictures is cloth, and which masks are doubtful."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -9,27 +9,27 @@ from jaxtyping import Float
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 NEIGHBORS = 5
-"""A mask is compared with the median of so many before and so many after it."""
+"""Number of masks before and after a mask whose median area it is compared with."""
 
 _SUDDEN = 0.25
-"""A cloth that is folded or lifted changes its area slowly; a mask that differs from those around
-it by more than this share has lost a piece, or gained something that is no cloth."""
+"""Share by which a mask's area may differ from those around it. A cloth that is folded or lifted
+changes its area slowly, so a larger difference means a lost piece or an added object."""
 
 _LISTED = 8
-"""Most frames that a line names."""
+"""Largest number of frames that a line lists."""
 
 
 @dataclass(frozen=True)
 class MaskSummary:
-    """The masks of a recording, counted.
+    """Statistics of the masks of a recording.
 
     Attributes:
-        frames: how many have cloth in them.
-        pixels: of cloth in the frame in the middle, by size.
-        least_share: of the smallest mask in its picture.
-        most_share: of the largest one.
-        smallest_frame: where the smallest is.
-        doubtful: frames without any cloth, or with much less or more than those around them.
+        frames: number of frames with cloth.
+        pixels: median number of cloth pixels per frame with cloth.
+        least_share: share of the picture covered by the smallest mask.
+        most_share: share of the picture covered by the largest mask.
+        smallest_frame: frame with the smallest mask.
+        doubtful: frames without any cloth, or with much less or more cloth than those around them.
     """
 
     frames: int
@@ -40,7 +40,7 @@ class MaskSummary:
     doubtful: tuple[int, ...]
 
     def __str__(self) -> str:
-        """Return two lines for a person."""
+        """Return the summary as two lines of text."""
         low, high = 100 * self.least_share, 100 * self.most_share
         text = (
             f"{self.frames} frames with cloth, {low:.1f} to {high:.1f} % of the picture (median "
@@ -53,7 +53,7 @@ class MaskSummary:
         return f"{text}\nlook at frames {named}{more}: much less or more cloth than around them"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary for a program."""
+        """Return the summary as a dictionary."""
         return asdict(self)
 
 
@@ -81,7 +81,7 @@ def summary_of(setup: SegmentationSetup) -> MaskSummary:
 
 
 def doubtful(areas: Float[np.ndarray, " frames"]) -> np.ndarray:
-    """Return which of the areas [pixels] are empty, or differ suddenly from those around them."""
+    """Return which areas [pixels] are empty or differ suddenly from those around them."""
     padded = np.pad(areas, NEIGHBORS, mode="edge")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBORS + 1), axis=1)
     return (areas < 1) | (np.abs(areas - around) > _SUDDEN * around)

@@ -1,8 +1,8 @@
-"""The picker's path from pictures: where its colored tip was, when it held cloth, what it did.
+"""Detection of the picker's path, grasps and actions from pictures of its colored tip.
 
-A pick-and-place is read from the tip's height over the table: it comes down to the cloth, rests
-there while it closes, rises, comes down again, rests while it opens, and leaves. A pair of
-tweezers whose two arms are told apart shows itself whether it is open.
+A pick-and-place is detected from the tip's height above the table: it comes down to the cloth,
+rests there while it closes, rises, comes down again, rests while it opens, and leaves. For tweezers
+whose two arms are visible separately, the gap between them shows whether they are open.
 """
 
 from collections.abc import Sequence
@@ -34,22 +34,22 @@ from clothtrack_capture.tip_finder import (
 )
 
 _TWO_ARMS_SHARE = 0.15
-"""Share of the frames that must show two arms before the gap between them is trusted."""
+"""Share of frames that must show two arms for the gap between them to be used."""
 _SAMPLES = 24
-"""Pictures from which the tip's colors are learned, from all over the recording."""
+"""Number of pictures, spread over the recording, from which the tip's colors are learned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickerDetection:
-    """A picker as the recording shows it.
+    """A picker detected in a recording.
 
     Attributes:
-        path: tip positions at the frames that show it, and when it was closed.
-        actions: the pick-and-places.
+        path: tip positions in the frames that show it, and when it was closed.
+        actions: detected pick-and-places.
         picks: frames in which it closes, one per action.
         releases: frames in which it is open again, one per action.
         seen: whether each frame shows the tip.
-        by: "tip distance" or "dwell": what tells when it is closed.
+        by: cue for when the picker is closed, "tip distance" or "dwell".
     """
 
     path: PickerPath
@@ -70,10 +70,10 @@ def find_picker(
     """Return the path of a colored tip and its pick-and-places.
 
     Args:
-        recording: with color, depth and a table.
-        camera: the one that sees the tip.
-        members: set of the tip's colors, roughly.
-        name: what to call the picker.
+        recording: recording with color, depth and a table.
+        camera: camera that sees the tip.
+        members: rough set of the tip's colors.
+        name: name of the picker.
 
     Raises:
         InvalidRecordingError: there is no table or no color, or the tip is hardly ever seen.
@@ -112,7 +112,7 @@ def find_picker(
 def tip_members(
     recording: Recording, camera: Camera, tip: str | tuple[int, int, int] | None
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the tip's colors, from a color name or a click (frame, column, row).
+    """Return the set of the tip's colors, from a color name or a click (frame, column, row).
 
     Raises:
         InvalidConfigError: the name is unknown, or the click misses the recording or the picture.
@@ -129,10 +129,10 @@ def tip_members(
 
 
 def require_unmeasured(recording: Recording, *, force: bool) -> None:
-    """Refuse to replace a picker path that was measured, unless told to.
+    """Refuse to replace existing picker paths unless `force` is set.
 
     Raises:
-        InvalidRecordingError: the recording has one, and `force` is not set.
+        InvalidRecordingError: the recording has a picker path, and `force` is not set.
     """
     if recording.picker_paths and not force:
         raise InvalidRecordingError(
@@ -145,10 +145,10 @@ def require_unmeasured(recording: Recording, *, force: bool) -> None:
 def keep_picker(
     recording: Recording, detection: PickerDetection, name: str, tip: str
 ) -> int | None:
-    """Write a detection into the recording, in place of the paths and actions it has.
+    """Write a detection into the recording, replacing its paths and actions.
 
     Returns:
-        The template's vertex that the first pick takes, when there is a template in its reach.
+        The template vertex taken by the first pick; None without a template or out of reach.
 
     Raises:
         InvalidRecordingError: no pick-and-place was found; nothing is written.
@@ -201,7 +201,7 @@ def _watch_tip(
         color, depth = look(frame)
         tip = finder.find(color, depth, near=None if last is None else last.pixel, axis=axis)
         if tip is not None:
-            # The tool turns slowly: what depth said in many frames outvotes it in one.
+            # The tool turns slowly, so average the axis from depth over many frames.
             axis = 0.8 * axis + 0.2 * _axis_by_depth(finder, color, depth)
             last = tip
         tips.append(tip)
@@ -215,13 +215,13 @@ def nearest_visible_vertex(
     *,
     radius_m: float = 0.03,
 ) -> int | None:
-    """Return the vertex that a closing tip takes: the nearest one in view; None when out of reach.
+    """Return the nearest visible vertex, which a closing tip takes; None if it is out of reach.
 
     Args:
-        cloth: the mesh where it lies [m], world frame.
-        tip: the tip [m].
-        cameras: those that see the cloth.
-        radius_m: how far the tip reaches [m].
+        cloth: mesh in its current state [m], world frame.
+        tip: position of the tip [m].
+        cameras: cameras that see the cloth.
+        radius_m: reach of the tip [m].
     """
     distance = np.linalg.norm(cloth.vertices - tip, axis=1)
     distance[~visible_vertices(cloth.vertices, cloth.faces, cameras)] = np.inf
@@ -246,7 +246,7 @@ def _actions(
     *,
     name: str,
 ) -> tuple[PickAndPlace, ...]:
-    """Cuts the recording between pick-and-places: where the tip is away, or highest."""
+    """Return the actions' frame ranges, cut where the tip is out of view or highest."""
     if not spans:
         return ()
     ends = []
@@ -268,11 +268,11 @@ def _path(
     closed: Bool[np.ndarray, " frames"],
     seen: Bool[np.ndarray, " frames"],
 ) -> PickerPath:
-    """Return the path where the tip is seen; interpolated at both ends and where it is closed."""
+    """Return the path where the tip is seen, filled in at both ends and where it is closed."""
     times = np.array([frame.time_s for frame in frames])
     kept = seen | closed
     kept[[0, -1]] = True
-    # A release must be told even if the tip is hidden in that frame.
+    # Keep the release frame even if the tip is hidden in it.
     kept[1:] |= closed[:-1] & ~closed[1:]
     filled = np.stack(
         [np.interp(times[kept], times[seen], axis) for axis in positions[seen].T], axis=1

@@ -1,6 +1,6 @@
-"""Reading pick-and-places from the path of a tip: where it is low and rests, or its gap.
+"""Detection of pick-and-places from a tip's path, by where it rests low, or by its gap.
 
-Heights are over the table; frames without the tip are NaN and belong to no visit.
+Heights are above the table. Frames without the tip are NaN and belong to no visit.
 """
 
 import logging
@@ -15,15 +15,16 @@ from clothtrack.geometry.camera import Camera
 logger = logging.getLogger(__name__)
 
 _LEAST_LIFT_M = 0.02
-"""The tip rises at least so high [m] between pick and place, and around them."""
+"""Least rise of the tip between pick and place, and before and after them [m]."""
 _TOUCH_HEIGHT_M = 0.05
-"""A tip higher over the table than this [m] touches no cloth."""
+"""Height above the table beyond which a tip touches no cloth [m]."""
 _REST_M = 0.004
-"""A tip that stays this near to its lowest point [m] rests there."""
+"""Distance from its lowest point within which a tip counts as resting [m]."""
 JUMP_M = 0.04
-"""A position farther than this [m] from the line between its neighbors is a wrong one."""
+"""Largest deviation of a position from the line between its neighbors [m]; beyond it is wrong."""
 _BORDER_PIXELS = 60.0
-"""A tip last seen this near to the picture's border [pixels] has left it; else cloth hides it."""
+"""A tip last seen this near to the picture's border [pixels] has left it; otherwise cloth hides
+it."""
 
 
 def visits_of(
@@ -31,7 +32,7 @@ def visits_of(
     pixels: Sequence[Float[np.ndarray, " 2"] | None],
     camera: Camera,
 ) -> list[Int[np.ndarray, " _"]]:
-    """Frames that show the tip, cut where it leaves the picture (not where cloth hides it)."""
+    """Return frames with the tip, split where it leaves the picture (not where it is hidden)."""
     frames = np.flatnonzero(seen)
     edges = np.array([camera.width - 1, camera.height - 1])
     cuts = []
@@ -48,11 +49,11 @@ def visits_of(
 def without_jumps(
     positions: Float[np.ndarray, "frames 3"],
 ) -> Float[np.ndarray, "frames 3"]:
-    """Return the path with NaN for single positions far off the line between their neighbors."""
+    """Return the path with single positions far off their neighbors' line set to NaN."""
     kept = positions.copy()
     before, here, after = positions[:-2], positions[1:-1], positions[2:]
     off = np.linalg.norm(here - 0.5 * (before + after), axis=1)
-    # A real tip that turns fast is off too, but not by more than its neighbors are apart.
+    # A real tip that turns fast also deviates, but by no more than its neighbors are apart.
     apart = np.linalg.norm(after - before, axis=1)
     kept[1:-1][off > JUMP_M + apart] = np.nan
     return kept
@@ -63,12 +64,13 @@ def closed_by_rest(
     heights: Float[np.ndarray, " frames"],
     visits: Sequence[Int[np.ndarray, " _"]],
 ) -> list[tuple[int, int]]:
-    """Return first and last frame of every hold, by where the tip rests low.
+    """Return first and last frame of every hold, detected where the tip rests low.
 
     Args:
-        positions: of the tip [m]; NaN where it is not seen.
-        heights: over the table [m].
-        visits: the frames that show the tip, from coming into the picture to leaving it.
+        positions: positions of the tip [m]; NaN where it is not seen.
+        heights: heights above the table [m].
+        visits: per visit, the frames that show the tip, from its entering the picture to its
+            leaving.
     """
     spans = []
     for visit in visits:
@@ -91,23 +93,26 @@ def closed_by_gap(
     heights: Float[np.ndarray, " frames"],
     visits: Sequence[Int[np.ndarray, " _"]],
 ) -> list[tuple[int, int]]:
-    """Return first and last frame of every hold, by the gap of the tweezers.
+    """Return first and last frame of every hold, detected from the gap of the tweezers.
 
     Args:
-        gaps: between the arms [m]; NaN where the tip is not seen.
-        heights: over the table [m].
-        visits: the frames that show the tip, from coming into the picture to leaving it.
+        gaps: gaps between the arms [m]; NaN where the tip is not seen.
+        heights: heights above the table [m].
+        visits: per visit, the frames that show the tip, from its entering the picture to its
+            leaving.
     """
     shown = gaps[np.isfinite(gaps)]
     limit = 0.5 * float(np.percentile(shown, 5) + np.percentile(shown, 95))
     spans = []
     for visit in visits:
-        # The median of three frames: one in which an arm was not seen closes nothing.
+        # Use the median of three frames, so that one frame with a hidden arm does not count as
+        # closed.
         wide = np.pad(gaps[visit], 1, mode="edge")
         shut = np.median(np.stack([wide[:-2], wide[1:-1], wide[2:]]), axis=0) < limit
         changes = np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]])))
         for start, stop in zip(changes[::2], changes[1::2], strict=True):
-            # Closed in the air it holds nothing; closed until it leaves, it held all the way.
+            # Tweezers that close in the air hold nothing. If they stay closed until they leave the
+            # picture, they hold until then.
             down = heights[visit[start]] < _TOUCH_HEIGHT_M
             if down and np.ptp(heights[visit[start:stop]]) > _LEAST_LIFT_M:
                 spans.append((int(visit[start]), int(visit[min(stop, len(visit) - 1)])))
@@ -115,7 +120,7 @@ def closed_by_gap(
 
 
 def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
-    """Return places of the lowest points between rises and falls of at least `_LEAST_LIFT_M`."""
+    """Return the indices of minima between rises and falls of at least `_LEAST_LIFT_M`."""
     lows: list[int] = []
     lowest, highest, falling = 0, 0, True
     for place, height in enumerate(heights):
@@ -129,14 +134,14 @@ def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
             highest = place
         elif height < heights[highest] - _LEAST_LIFT_M:
             lowest, falling = place, True
-    # A tip that leaves the picture, or the recording that ends, right after the last low point.
+    # The tip may leave the picture, or the recording may end, right after the last minimum.
     return [*lows, lowest] if falling and len(heights) else lows
 
 
 def _rest(
     positions: Float[np.ndarray, "frames 3"], visit: Int[np.ndarray, " _"], low: int
 ) -> tuple[int, int]:
-    """First and last frame of the visit around the low one that are within `_REST_M` of it."""
+    """Return first and last frame of the visit around `low` that stay within `_REST_M` of it."""
     near = np.linalg.norm(positions[visit] - positions[low], axis=1) <= _REST_M
     first = last = int(np.searchsorted(visit, low))
     while first > 0 and near[first - 1]:

@@ -1,4 +1,4 @@
-"""A page on this machine to click what a bare hand did: where it took the cloth and let it go."""
+"""A local web page for clicking where a bare hand picked and placed the cloth."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -29,17 +29,17 @@ def pick_live(
     """Serve the page until the clicks are saved, `stop` is set or Ctrl-C is pressed.
 
     Args:
-        picking: takes the clicks.
-        name: what to call the hand.
-        port: of the server; any free one by default.
-        stop: ends it from outside.
-        opened: is told the address.
+        picking: receiver of the clicks.
+        name: name of the hand.
+        port: port of the server; any free one by default.
+        stop: event that ends the server from outside.
+        opened: function called with the address.
 
     Returns:
-        What was written into the recording; None when it was left without saving.
+        The actions written into the recording; None if the page was left without saving.
 
     Raises:
-        InvalidConfigError: the port cannot be had.
+        InvalidConfigError: the port is not available.
     """
     stop = stop or threading.Event()
     page = _Page(picking, name, stop)
@@ -48,14 +48,14 @@ def pick_live(
 
 
 class _Page:
-    """Answers what the page asks, and takes what it tells."""
+    """The request handler of the page."""
 
     def __init__(self, picking: ClickedPicking, name: str, stop: threading.Event) -> None:
         self._picking, self._name, self._stop = picking, name, stop
         self.kept: Kept | None = None
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
-        """The page, what was clicked so far, or a frame, with its mask if wanted."""
+        """Return the page, the clicks so far, or a frame with its mask if requested."""
         if path == "/":
             markup = files("clothtrack_capture").joinpath("picking_page.html").read_bytes()
             return Answer(markup, "text/html; charset=utf-8")
@@ -70,7 +70,7 @@ class _Page:
         return None
 
     def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
-        """A click, the wish to take the last one back, or to save them all."""
+        """Handle a click, an undo or a save."""
         if path == "/click":
             column, row = map(int, message["click"])
             self._picking.add(Click(int(message["frame"]), column, row))
@@ -80,7 +80,7 @@ class _Page:
             return Answer.of(self._facts())
         if path == "/save":
             self.kept = self._picking.keep(self._name)
-            # A moment later, so that the page still hears of it.
+            # Stop with a delay, so that the page still receives this answer.
             threading.Timer(0.5, self._stop.set).start()
             return Answer.of({"saved": len(self.kept)})
         return None

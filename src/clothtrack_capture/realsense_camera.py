@@ -1,4 +1,4 @@
-"""Intel RealSense cameras, live, through pyrealsense2 (extra [realsense]); depth laid on color."""
+"""Live Intel RealSense cameras through pyrealsense2 (extra [realsense]), with aligned depth."""
 
 import logging
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _NOTICEABLE_PX = 0.5
 
 @runtime_checkable
 class FrameSource(Protocol):
-    """What gives framesets: `rs.pipeline`, or `rs.syncer` behind a software device."""
+    """A source of framesets: `rs.pipeline`, or `rs.syncer` behind a software device."""
 
     def wait_for_frames(self, timeout_ms: int) -> Any:
         """Return the next set of frames."""
@@ -28,15 +28,15 @@ class FrameSource(Protocol):
 
 
 class RealSenseCamera:
-    """A RealSense camera, or anything that gives frames as one does."""
+    """A RealSense camera, or any other source of its framesets."""
 
     def __init__(self, source: FrameSource, *, pipeline: Any = None, name: str = "top") -> None:
-        """Wait for the first frames, to learn the intrinsics.
+        """Wait for the first frames to read the intrinsics.
 
         Args:
-            source: gives framesets.
-            pipeline: is stopped at the end.
-            name: of the camera in the recording.
+            source: source of framesets.
+            pipeline: pipeline to stop on closing, if any.
+            name: name of the camera in the recording.
 
         Raises:
             InvalidConfigError: pyrealsense2 is not installed.
@@ -53,12 +53,12 @@ class RealSenseCamera:
         depth, color = first
         lens = color.get_profile().as_video_stream_profile().get_intrinsics()
         self.camera = Camera(name, lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy)
-        # Seven digits are what its single precision holds.
+        # The unit is a single-precision number, which holds seven digits.
         self.depth_unit_m = float(f"{depth.get_units():.7g}")
         self._warn_of_distortion(lens)
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield frames as they come, until the camera falls silent or its file ends."""
+        """Yield frames as they arrive, until the camera stops sending or its file ends."""
         while (found := self._next()) is not None:
             depth, color = found
             counts = np.asanyarray(depth.get_data())
@@ -74,7 +74,7 @@ class RealSenseCamera:
             self._pipeline.stop()
 
     def _next(self) -> tuple[Any, Any] | None:
-        """Return depth laid on color, and color; None when nothing comes any more."""
+        """Return depth aligned to color, and color; None if no more frames come."""
         for _ in range(30):
             try:
                 frames = self._source.wait_for_frames(_WAIT_MS)
@@ -88,7 +88,7 @@ class RealSenseCamera:
         return None
 
     def _warn_of_distortion(self, lens: Any) -> None:
-        """Say how far the lens bends the corner of the picture; recordings have no distortion."""
+        """Warn if the lens distorts the picture's corner, because recordings have no distortion."""
         coefficients = np.array(lens.coeffs, dtype=float)
         x, y = (0 - lens.ppx) / lens.fx, (0 - lens.ppy) / lens.fy
         r2 = x * x + y * y
@@ -107,14 +107,14 @@ def open_realsense(
     """Start a connected RealSense camera.
 
     Args:
-        width: of both pictures [pixels].
-        height: of both pictures [pixels].
+        width: width of both pictures [pixels].
+        height: height of both pictures [pixels].
         rate: pictures per second.
-        serial: number of the camera, when several are connected.
-        name: of the camera in the recording.
+        serial: serial number of the camera, if several are connected.
+        name: name of the camera in the recording.
 
     Raises:
-        InvalidConfigError: pyrealsense2 is not installed, or no camera offers this.
+        InvalidConfigError: pyrealsense2 is not installed, or no camera offers this format.
     """
     rs = _sdk()
     config, pipeline = rs.config(), rs.pipeline()
@@ -123,7 +123,7 @@ def open_realsense(
     config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
     config.enable_stream(rs.stream.color, width, height, rs.format.rgb8, rate)
     try:
-        # Without this the SDK waits a quarter of a minute for a camera to be plugged in.
+        # Without this check the SDK waits a quarter of a minute for a camera to be plugged in.
         if not len(rs.context().query_devices()):
             raise RuntimeError("none is connected")
         pipeline.start(config)

@@ -1,4 +1,4 @@
-"""A page on this machine to record by: preview, what to do next, and whether all is well."""
+"""A local web page for recording, with preview, instructions and warnings."""
 
 import logging
 import threading
@@ -37,15 +37,15 @@ FAREWELL_S = 0.6
 
 
 class Session:
-    """One recording while it is made: the camera, the writer, and the step of the protocol."""
+    """A recording in progress: the camera, the writer, and the step of the protocol."""
 
     def __init__(self, source: DepthCamera, target: Path, provenance: Mapping[str, Any]) -> None:
-        """Prepare; nothing is written before `start`.
+        """Prepare a recording; nothing is written before `start`.
 
         Args:
-            source: the camera.
-            target: the recording's folder.
-            provenance: who records, and with what.
+            source: camera to record from.
+            target: folder of the recording.
+            provenance: provenance entries, such as who records and with what.
         """
         self._source, self._target, self._provenance = source, target, provenance
         self._writer: CaptureWriter | None = None
@@ -58,7 +58,7 @@ class Session:
         self.done = False
 
     def start(self) -> None:
-        """Begin to write, with the first step.
+        """Start writing with the first step.
 
         Raises:
             StorageError: the target exists, or the disk refuses.
@@ -70,14 +70,14 @@ class Session:
                 self._writer.mark(PROTOCOL[0][0])
 
     def advance(self) -> None:
-        """Go on to the next step."""
+        """Advance to the next step."""
         with self._lock:
             if self._writer is not None and self.step < len(PROTOCOL) - 1:
                 self.step += 1
                 self._writer.mark(PROTOCOL[self.step][0])
 
     def watch(self, limit_s: float | None = None) -> None:
-        """Take frames until told to stop, the camera ends, or the time is over."""
+        """Take frames until `stop` is set, the camera ends, or the time limit is reached."""
         first: float | None = None
         for frame in self._source.frames():
             now = time.monotonic()
@@ -92,7 +92,7 @@ class Session:
         self.ended = True
 
     def finish(self) -> Recording | None:
-        """Close the camera and make the recording; None when nothing was started.
+        """Close the camera and make the recording; None if it was not started.
 
         Raises:
             StorageError: the disk refused.
@@ -104,7 +104,7 @@ class Session:
         return recording
 
     def facts(self) -> dict[str, Any]:
-        """Return what the page shows beside the preview."""
+        """Return the state that the page shows next to the preview."""
         with self._lock:
             state = None if self._writer is None else self._writer.state
             latest, arrivals = self._latest, self._arrivals
@@ -125,7 +125,7 @@ class Session:
         }
 
     def preview(self) -> Picture | None:
-        """Return the color and depth of the latest frame, beside each other."""
+        """Return color and depth of the latest frame side by side."""
         with self._lock:
             latest = self._latest
         return None if latest is None else preview_of(latest)
@@ -137,18 +137,18 @@ def record_live(
     *,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
-    """Serve the page while the camera runs, until it is finished there or Ctrl-C is pressed.
+    """Serve the page while the camera runs, until it is finished or Ctrl-C is pressed.
 
     Args:
         session: camera and target.
-        port: of the server; any free one by default.
-        opened: is told the address.
+        port: port of the server; any free one by default.
+        opened: function called with the address.
 
     Returns:
-        The recording; None when it was left before its start.
+        The recording; None if the page was left before the start.
 
     Raises:
-        InvalidConfigError: the port cannot be had.
+        InvalidConfigError: the port is not available.
         StorageError: the disk refused.
         InvalidRecordingError: no frame was recorded.
     """
@@ -159,7 +159,7 @@ def record_live(
             logger.info("record at %s", address)
             watching.start()
             try:
-                # Whoever has read the address may press Ctrl-C before `opened` returns.
+                # A user who has read the address may press Ctrl-C before `opened` returns.
                 if opened is not None:
                     opened(address)
                 wait_for(session.stop)
@@ -167,7 +167,7 @@ def record_live(
                 session.stop.set()
             watching.join(timeout=10.0)
             recording = session.finish()
-            # So that the page hears of it.
+            # Wait so that the page can still fetch the final state.
             time.sleep(FAREWELL_S)
             return recording
     finally:
@@ -175,7 +175,7 @@ def record_live(
 
 
 def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
-    """Return what is wrong with a frame, in words that say what to do."""
+    """Return warnings about a frame, with advice."""
     if error:
         return [f"nothing is written any more: {error}"]
     if frame is None:
@@ -198,7 +198,7 @@ def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
 
 
 def preview_of(frame: CapturedFrame) -> Picture:
-    """Return color on the left and depth on the right: near is red, unmeasured is gray."""
+    """Return color on the left and depth on the right: red for near, pale for unmeasured."""
     depth = frame.depth_m
     shown = np.full((*depth.shape, 3), rgb255(PAPER), np.uint8)
     seen = depth > 0
@@ -218,13 +218,13 @@ def _depth_colors(depth: Float[np.ndarray, " pixels"]) -> np.ndarray:
 
 
 class _Page:
-    """Answers what the page asks, and takes what it tells."""
+    """The request handler of the page."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:  # noqa: ARG002
-        """The page, the preview, or how it goes."""
+        """Return the page, the preview or the state."""
         if path == "/":
             markup = files("clothtrack_capture").joinpath("recording_page.html").read_bytes()
             return Answer(markup, "text/html; charset=utf-8")
@@ -236,7 +236,7 @@ class _Page:
         return None
 
     def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:  # noqa: ARG002
-        """Start, next step, or finish."""
+        """Handle the start, the next step or the finish."""
         deeds = {"/start": self._session.start, "/next": self._session.advance}
         if path in deeds:
             deeds[path]()

@@ -1,4 +1,4 @@
-"""A page on this machine to show what is cloth: one click, and every frame has its mask."""
+"""A local web page for segmentation: one click on the cloth gives every frame its mask."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -23,16 +23,16 @@ def segment_live(
     """Serve the page until the masks are kept, `stop` is set or Ctrl-C is pressed.
 
     Args:
-        setup: the recording and its masks.
-        port: of the server; any free one by default.
-        stop: ends it from outside.
-        opened: is told the address.
+        setup: recording and its masks.
+        port: port of the server; any free one by default.
+        stop: event that ends the server from outside.
+        opened: function called with the address.
 
     Returns:
-        How many masks were written into the recording; None when it was left without keeping.
+        The number of masks written into the recording; None if the page was left without keeping.
 
     Raises:
-        InvalidConfigError: the port cannot be had.
+        InvalidConfigError: the port is not available.
     """
     stop = stop or threading.Event()
     page = _Page(setup, stop)
@@ -41,14 +41,14 @@ def segment_live(
 
 
 class _Page:
-    """Answers what the page asks, and takes what it tells."""
+    """The request handler of the page."""
 
     def __init__(self, setup: SegmentationSetup, stop: threading.Event) -> None:
         self._setup, self._stop = setup, stop
         self.kept: int | None = None
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
-        """The page, what is in the recording, or a frame with its mask."""
+        """Return the page, facts about the recording, or a frame with its mask."""
         if path == "/":
             markup = files("clothtrack_capture").joinpath("segmentation_page.html").read_bytes()
             return Answer(markup, "text/html; charset=utf-8")
@@ -68,7 +68,7 @@ class _Page:
         return None
 
     def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
-        """A click or box to learn from, or the wish to keep the masks."""
+        """Handle a click or box to learn from, or a request to keep the masks."""
         if path == "/choose":
             frame = int(message["frame"])
             if "click" in message:
@@ -80,7 +80,7 @@ class _Page:
             return Answer.of(self._facts())
         if path == "/keep":
             self.kept = self._setup.keep()
-            # A moment later, so that the page still hears of it.
+            # Stop with a delay, so that the page still receives this answer.
             threading.Timer(0.5, self._stop.set).start()
             return Answer.of({"kept": self.kept})
         return None

@@ -1,4 +1,4 @@
-"""Which pixels are cloth: one click or box, and masks of every frame from it."""
+"""Cloth segmentation: masks of every frame, learned from one click or box."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -24,13 +24,13 @@ _NAMED_SHARE = 0.85
 
 
 class SegmentationSetup:
-    """Masks of one camera's pictures, and the click or box that they come from.
+    """The masks of one camera's pictures, and the click or box that they come from.
 
-    Safe to ask from several threads at once.
+    The class is thread-safe.
     """
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
-        """Start with what the recording says of its cloth already, if anything.
+        """Start with the cloth information that the recording already has, if any.
 
         Raises:
             InvalidRecordingError: the camera has no color pictures with depth.
@@ -87,7 +87,7 @@ class SegmentationSetup:
         return read_color(self._frame(frame).color[self.camera.name])
 
     def mask(self, frame: int) -> Bool[np.ndarray, "height width"] | None:
-        """Return what is cloth in a frame by the present choice; None where nothing tells.
+        """Return the cloth mask of a frame by the present choice; None if it cannot be determined.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -97,7 +97,7 @@ class SegmentationSetup:
             return self._masks(frame)
 
     def keep(self) -> int:
-        """Write the masks of all frames into the recording; how many have cloth in them.
+        """Write the masks of all frames into the recording and return how many contain cloth.
 
         Raises:
             InvalidConfigError: nothing was chosen yet.
@@ -126,7 +126,8 @@ class SegmentationSetup:
                 f"({', '.join(map(str, where))}) is cloth; click on the cloth, or give a box "
                 "around it"
             )
-        # One picture shows the cloth in one light; folds to come turn it to and from the lamp.
+        # One picture shows the cloth in one light. Later folds turn it towards or away from the
+        # lamp.
         shaded = replace(segmenter, members=with_shades(segmenter.members, color, cloth))
         with self._lock:
             self._learned, self._choice = shaded, {"frame": index, **choice}
@@ -156,7 +157,7 @@ class SegmentationSetup:
             raise
 
     def _color_name(self) -> str | None:
-        """Return the name that fits nearly all of the cloth in the first frame and little else."""
+        """Return the color name that fits most of the first frame's cloth and little else."""
         mask = self._mask(self.frames[0].index)
         if mask is None or not mask.any():
             return None

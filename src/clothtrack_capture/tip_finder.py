@@ -1,8 +1,9 @@
-"""Where the colored tip of a tool is in one picture, to a fraction of a pixel and in depth.
+"""Detection of a tool's colored tip in one picture, to subpixel precision and in depth.
 
-A tip is a few pixels wide, and half of its depth is missing or mixed with what lies behind it. So
-its end is found in the color picture, and the depth there from a line through the depths along
-the tip that most of them agree on, the near ones at that: what is mixed is always farther.
+A tip is a few pixels wide, and half of its depth is missing or mixed with the background. So its
+end is found in the color picture. The depth there comes from a line fitted to the depths along the
+tip, chosen by the number of depths that agree with it. Lines with few depths in front of them are
+preferred, because mixed depths are always farther.
 """
 
 from collections.abc import Sequence
@@ -25,21 +26,22 @@ from clothtrack.recordings.colors import (
 from clothtrack.recordings.segmentation import ColorSegmenter
 
 LEAST_PIXELS = 8
-"""Fewer pixels of the surest color are specks, no tip."""
+"""Least number of surely tip-colored pixels; fewer are specks."""
 WIDEST_SHARE = 0.03
-"""More of the picture than this is no tip: a tip is a few pixels wide."""
+"""Largest share of the picture that a tip may cover; a tip is only a few pixels wide."""
 _ELONGATED = 2.0
-"""Length over width from which a tip has an end; a rounder one counts by its middle."""
+"""Length over width from which a tip has an end; for a rounder tip its middle is used."""
 _DEPTH_BAND_M = 0.003
-"""Depths along the tip agree when they are this near to a line [m]."""
+"""Distance within which depths along the tip agree with a line [m]."""
 STEEPEST = 3.0
-"""A line along the tip changes depth by at most so much [m] per meter across."""
+"""Largest change of depth along the tip [m] per meter across."""
 _RADIUS_M = 0.0015
-"""Half the thickness of the tip [m]: depth is measured on its surface."""
+"""Half the thickness of the tip [m]; depth is measured on its surface."""
 _SECOND_SHARE = 0.4
-"""A second piece of this share of the first one's pixels is the other arm of open tweezers."""
+"""A second piece with at least this share of the first one's pixels is the other arm of open
+tweezers."""
 _WIDEST_GAP_M = 0.1
-"""Arms farther apart than this [m] do not belong together."""
+"""Largest distance between two arms of the same tool [m]."""
 _LASTING_SHARE = 0.9
 _LEARNING_ROUNDS = 2
 _JOINING = np.ones((3, 3), np.uint8)
@@ -50,11 +52,11 @@ class Tip:
     """A tip in one picture.
 
     Attributes:
-        pixel: column and row of its end.
-        position: its end in the world [m].
+        pixel: column and row of the tip's end.
+        position: position of the end in the world [m].
         axis: unit vector in the picture that points to its end; zero for a round tip.
         gap_m: distance between the two arms [m]; 0 for one arm, or closed ones.
-        pixels: how many pixels show it.
+        pixels: number of pixels that show it.
     """
 
     pixel: Float[np.ndarray, " 2"]
@@ -65,7 +67,7 @@ class Tip:
 
 
 def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colors that a name stands for.
+    """Return the set of colors that a name stands for.
 
     Raises:
         InvalidConfigError: the name is unknown.
@@ -80,7 +82,7 @@ def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
 def clicked_colors(
     color: UInt8[np.ndarray, "height width 3"], column: int, row: int
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return set of the colors of the patch that was clicked.
+    """Return the set of colors of the clicked patch.
 
     Raises:
         InvalidConfigError: the click is outside the picture, or the patch looks like the rest.
@@ -89,7 +91,7 @@ def clicked_colors(
 
 
 class TipFinder:
-    """Finds a tip of known colors in the pictures of one camera."""
+    """A detector for a tip of known colors in the pictures of one camera."""
 
     def __init__(
         self,
@@ -98,12 +100,12 @@ class TipFinder:
         *,
         background: Bool[np.ndarray, "height width"] | None = None,
     ) -> None:
-        """Look for these colors.
+        """Store the colors to look for.
 
         Args:
             members: set of the tip's colors.
-            camera: whose pictures will come.
-            background: pixels that have the tip's color without being it.
+            camera: camera that takes the pictures.
+            background: pixels that have the tip's color but do not belong to it.
         """
         self._members, self._camera = members, camera
         self._background = background
@@ -111,7 +113,7 @@ class TipFinder:
     def _votes(
         self, color: UInt8[np.ndarray, "height width 3"]
     ) -> UInt8[np.ndarray, "height width"]:
-        """Return what the colors say of every pixel, the background left out."""
+        """Return the color vote of every pixel, without the background."""
         votes = votes_of(color, self._members)
         if self._background is not None:
             votes[self._background] = 0
@@ -125,13 +127,14 @@ class TipFinder:
         near: Float[np.ndarray, " 2"] | None = None,
         axis: Float[np.ndarray, " 2"] | None = None,
     ) -> Tip | None:
-        """Return the tip in a picture; None where it is not seen.
+        """Return the tip in a picture; None if it is not seen.
 
         Args:
             color: color picture, red first.
             depth_m: depth [m], 0 where nothing was measured.
-            near: where it was lately [pixels]; pieces there are preferred.
-            axis: where its end pointed so far, for when depth does not tell.
+            near: recent position of the tip [pixels]; pieces near it are preferred.
+            axis: recent direction of its end, used in place of the direction from depth if it is
+                reliable.
         """
         pieces = self.pieces(color, near=near)
         tips = [tip for piece in pieces if (tip := self._end_of(piece, depth_m, axis)) is not None]
@@ -156,7 +159,7 @@ class TipFinder:
         *,
         near: Float[np.ndarray, " 2"] | None = None,
     ) -> list[Int[np.ndarray, "pixels 2"]]:
-        """Pixels (column, row) of up to two pieces of the tip's color, the likeliest first."""
+        """Return pixels (column, row) of up to two pieces of tip color, likeliest first."""
         votes = self._votes(color)
         sure = votes == CORE
         if np.count_nonzero(sure) < LEAST_PIXELS:
@@ -194,7 +197,7 @@ class TipFinder:
         depth_m: Float[np.ndarray, "height width"],
         axis: Float[np.ndarray, " 2"] | None,
     ) -> Tip | None:
-        """Return the end of one piece; None when its depth is not known."""
+        """Return the end of one piece; None if its depth is not known."""
         middle = pixels.mean(axis=0)
         spread, directions = np.linalg.eigh(np.cov((pixels - middle).T) + 1e-9 * np.eye(2))
         along = directions[:, 1]
@@ -206,7 +209,7 @@ class TipFinder:
         offset, slope = line
         if np.sqrt(spread[1] / max(spread[0], 1.0 / 12.0)) < _ELONGATED:
             return self._tip(middle, offset, np.zeros(2), len(pixels))
-        # The tool comes from above: the end of the tip is the far one.
+        # The tool comes from above, so the end of the tip is the far one.
         sign = np.sign(slope * np.ptp(places))
         if axis is not None and np.linalg.norm(axis) > 0.3:
             sign = np.sign(axis @ along)
@@ -230,7 +233,7 @@ class TipFinder:
     def _depth_line(
         self, places: Float[np.ndarray, " pixels"], depths: Float[np.ndarray, " pixels"]
     ) -> tuple[float, float] | None:
-        """Return depth [m] in the middle of the tip and its slope per pixel; None if unknown."""
+        """Return depth [m] in the middle of the tip and its slope per pixel, or None."""
         if len(depths) < 3:
             return None
         band = _DEPTH_BAND_M
@@ -252,7 +255,7 @@ class TipFinder:
         offsets = depths[first] - slopes * places[first]
         off = depths - offsets[:, None] - slopes[:, None] * places
         agreeing = (np.abs(off) < band).sum(axis=1)
-        # Of lines that equally many agree with, the one with least in front of it.
+        # Each depth in front of a line counts against it, half as much as an agreeing one.
         agreeing = agreeing - 0.5 * (off < -band).sum(axis=1)
         best = int(np.argmax(agreeing))
         used = np.abs(off[best]) < band
@@ -267,16 +270,16 @@ def learned_finder(
     members: UInt8[np.ndarray, "32 32 32"],
     camera: Camera,
 ) -> TipFinder:
-    """Return a finder whose colors are learned from the recording itself, starting from these.
+    """Return a finder whose colors are learned from the recording, starting from these.
 
-    Cloth and table have colors near the tip's: in shade, and where two of them mix at an edge.
-    So what was taken for the tip is held against all else in the same pictures, and a color
-    stays when it is more frequent on the tip.
+    Cloth and table have colors similar to the tip's in shade, and where two colors mix at an edge.
+    So the detected tip is compared with the rest of the same pictures, and a color is kept if it is
+    more frequent on the tip.
 
     Args:
-        looks: color (red first) and depth [m] of pictures from all over the recording.
-        members: set of the tip's colors, roughly.
-        camera: whose pictures they are.
+        looks: color (red first) and depth [m] of pictures from the whole recording.
+        members: rough set of the tip's colors.
+        camera: camera that took the pictures.
 
     Raises:
         InvalidConfigError: much of every picture has the tip's color.
@@ -305,7 +308,7 @@ def _without_surroundings(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]],
     members: UInt8[np.ndarray, "32 32 32"],
 ) -> tuple[UInt8[np.ndarray, "32 32 32"], Bool[np.ndarray, "height width"]]:
-    """The tip's colors without those of its surroundings, and pixels that are never the tip."""
+    """Return the tip's colors without the surroundings' ones, and pixels never on the tip."""
     votes = [votes_of(picture, members) for picture in pictures]
     sure = np.mean([vote == CORE for vote in votes], axis=0)
     if sure.mean() > 2.0 * WIDEST_SHARE:

@@ -1,4 +1,4 @@
-"""What knows the truth, or is only compared with: simulated world, benchmark, baselines.
+"""The lab: simulated world, benchmark and baselines, which may use the ground truth.
 
 This package imports `clothtrack`, which does not import it.
 """

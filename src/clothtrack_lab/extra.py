@@ -1,4 +1,4 @@
-"""What the simulated world needs beyond tracking: the extra [lab]."""
+"""Check for the optional dependencies of the simulated world: the extra [lab]."""
 
 from clothtrack.files.extras import require_extra
 
@@ -7,6 +7,6 @@ def require_lab() -> None:
     """Check that the extra [lab] is installed.
 
     Raises:
-        InvalidConfigError: with the command that installs it.
+        InvalidConfigError: it is not; the message has the command that installs it.
     """
     require_extra("lab", ("mujoco",), "the simulated world")

@@ -1,4 +1,4 @@
-"""Flatten cloth in the simulated world once, and plan for a recorded one."""
+"""Flattening of one cloth in the simulated world, and planning for a recorded one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -44,25 +44,26 @@ def flatten(
     watch: Watch | None = None,
     progress: Progress | None = None,
 ) -> EpisodeStore:
-    """Flatten a crumpled garment of the simulated world: perceive, plan, act, and look again.
+    """Flatten a crumpled garment in the simulated world: perceive, plan, act, and look again.
 
     Args:
-        output: folder for the episode, its recording and its truth; an interrupted episode goes on.
-        garment: what lies on the table.
-        template: file of its own template (`clothtrack garment`); a usual cut by default.
-        garment_seed: one garment for every `seed`, which no shipped network was trained on; its
-            template is told to the perception, its camera is its own. By default each seed has its
-            own garment.
-        config: how; `settings` change it.
-        settings: such as "actions=3" or "planner.candidates=300".
-        seed: of garment, start, noise and candidates.
+        output: folder for the episode, its recording and its truth; an interrupted episode is
+            resumed.
+        garment: kind of garment on the table.
+        template: file of the garment's template (`clothtrack garment`); a usual cut by default.
+        garment_seed: use one garment, which no shipped network was trained on, for every `seed`;
+            the perception is given its template, and it has its own camera. By default each seed
+            has its own garment.
+        config: configuration, changed by `settings`.
+        settings: changes, such as "actions=3" or "planner.candidates=300".
+        seed: seed of garment, start, noise and candidates.
         device: "cpu" or "cuda:0".
-        parts: networks that several episodes share; loaded for this one by default.
-        watch: called after every step.
-        progress: called with every action, and with what is done for it.
+        parts: networks shared by several episodes; loaded for this one by default.
+        watch: function called after every step.
+        progress: function called with every action and its current stage.
 
     Returns:
-        The episode on disk: its steps and its status.
+        The episode on disk, with its steps and its status.
 
     Raises:
         InvalidConfigError: `output` holds this episode with other settings, or both a template and
@@ -99,12 +100,12 @@ def episode_parts(
     garment_seed: int | None = None,
     output: Path | None = None,
 ) -> EpisodeParts:
-    """Return what the episodes of `flatten` can share: the networks, or a policy that needs none.
+    """Return the parts that episodes of `flatten` can share: networks, or a policy without any.
 
     Args:
-        garment: what lies on the table.
-        config: how it is flattened.
-        device: where to compute.
+        garment: kind of garment on the table.
+        config: configuration of flattening.
+        device: device to compute on.
         garment_seed: as in `flatten`; needs `output`.
         output: folder of the episodes.
     """
@@ -121,7 +122,7 @@ def _parts(garment: GarmentKind, config: FlattenConfig, *, device: str) -> Episo
 def plan_flattening(
     recording: Path, output: Path, config: FlattenConfig, *, seed: int, device: str
 ) -> EpisodeStore:
-    """Plan one action for the last picture of a recording, and write it down; nothing moves.
+    """Plan one action for the last picture of a recording and save it; nothing moves.
 
     Raises:
         InvalidRecordingError: the picture cannot be read, or shows no cloth.
@@ -130,7 +131,7 @@ def plan_flattening(
     source = read_recording(recording)
     if source.table is None:
         raise InvalidConfigError(f"{recording}: it has no table; flattening needs one")
-    # Refuses a picture that cannot be read, or shows no cloth, before anything is written.
+    # Refuse a picture that cannot be read or shows no cloth, before anything is written.
     seen_area(source, source.frames[-1])
     planned = config.policy == "planned"
     limits = MotionLimits(workspace=config.planner.space.workspace)

@@ -1,4 +1,4 @@
-"""Flatten many times in the simulated world: each episode with its report and a summary."""
+"""Flattening of many episodes in the simulated world, each with a report and a summary."""
 
 from collections.abc import Generator, Sequence
 from contextlib import closing
@@ -18,7 +18,7 @@ from clothtrack_lab.flattening import flatten
 from clothtrack_lab.world.simulated_episodes import EpisodeParts, SimulatedEpisode
 
 Row = dict[str, Any]
-"""What a program wants to know of an episode."""
+"""Summary of an episode for programs."""
 
 
 def run_episodes(
@@ -35,24 +35,24 @@ def run_episodes(
     ray: str = "",
     progress: Progress | None = None,
 ) -> Generator[Row, None, None]:
-    """Run episodes, and summarize each as it ends; finished ones are kept.
+    """Run episodes and summarize each as it ends; finished ones are kept.
 
     Args:
         output: folder of the episodes.
-        garment: what lies on the table.
-        config: how it is flattened.
-        seeds: of the episodes.
-        garment_seed: of the one garment, if there is one.
+        garment: kind of garment on the table.
+        config: configuration of flattening.
+        seeds: seeds of the episodes.
+        garment_seed: seed of the single garment, if there is one.
         device: "cpu" or "cuda:0".
-        parts: networks, for episodes that this process runs; others load their own.
-        watch: is shown every step; of this process only.
-        workers: processes; each runs one episode at a time.
-        ray: address of Ray, which is to do it; worker processes by default.
-        progress: called with every action (in one process) or after every episode.
+        parts: networks for episodes run in this process; other processes load their own.
+        watch: function called with every step of this process.
+        workers: number of processes; each runs one episode at a time.
+        ray: address of the Ray cluster to run on; worker processes by default.
+        progress: function called with every action (in one process) or after every episode.
 
     Raises:
         InvalidConfigError: another run writes to `output`.
-        ClothTrackError: an episode failed, after all others; or a worker died.
+        ClothTrackError: an episode failed (raised after all others have ended), or a worker died.
     """
     work = _Flattening(Path(output), garment, config, tuple(seeds), garment_seed, device)
     if alone := workers == 1 and not ray:
@@ -68,7 +68,7 @@ def run_episodes(
 
 @dataclass(frozen=True)
 class _Flattening:
-    """Flatten with a seed, as `clothtrack.files.many_items.Work`."""
+    """Flattening with one seed per item, as `clothtrack.files.many_items.Work`."""
 
     output: Path
     garment: GarmentKind
@@ -102,7 +102,7 @@ class _Flattening:
         return self.do(seed) if ended else None
 
     def do(self, seed: int) -> Row:
-        """Begin the episode, or go on with it; one that has ended is opened alone."""
+        """Start or resume the episode; one that has ended is only opened."""
         told = one_of(self.progress, self.seeds.index(seed), len(self.seeds), "episode")
         store = flatten(
             self.output, self.garment, garment_seed=self.garment_seed, config=self.config,
@@ -112,7 +112,7 @@ class _Flattening:
 
 
 def _summary(store: EpisodeStore, output: Path) -> Row:
-    """Write the report of an episode, and summarize it. Controls say so."""
+    """Write the report of an episode and summarize it; controls are marked as such."""
     page = write_flattening_report(store, output / f"{store.folder.name}.html")
     return {
         "episode": str(store.folder),

@@ -1,14 +1,14 @@
-"""What the cards of networks have in common: their file, versions in words, and tables."""
+"""Common parts of model cards: file name, versions in words, and tables."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 CARD = "model_card.md"
-"""Name of the card, beside the weights."""
+"""Name of the card's file, next to the weights."""
 
 
 def made_in_words(made: Mapping[str, Any]) -> str:
-    """Versions and machine in a sentence (`provenance.made_with` and the device)."""
+    """Return versions and machine as a sentence (`provenance.made_with` and the device)."""
     packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
     commit = f" (`{made['commit']}`)" if made["commit"] else ""
     return (
@@ -18,6 +18,6 @@ def made_in_words(made: Mapping[str, Any]) -> str:
 
 
 def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of texts."""
+    """Return a Markdown table of texts."""
     lines = [titles, ["---"] * len(titles), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -1,1 +1,1 @@
-"""What `import clothtrack_capture` does, and the command line too; loads no stage by itself."""
+"""The functions of `import clothtrack_capture` and its command line; stages are loaded on use."""

@@ -1,4 +1,4 @@
-"""Find where the camera of a recording is: from the table, from a board, or from a robot."""
+"""Calibrate a recording's camera pose from the table, a board or a robot."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,27 +31,28 @@ def calibrate_camera(
     output: Path | str | None = None,
     force: bool = False,
 ) -> Result:
-    """Find the table and put the world on it: z up, the table at z = 0; written to the recording.
+    """Find the table and set the world on it, with z up and the table at z = 0.
 
-    With --robot-poses the world is the robot's base, and its gripper holds the board.
+    The result is written to the recording. With --robot-poses the world is the robot's base, and
+    its gripper holds the board.
 
     Args:
         recording: folder with a recording.json.
-        charuco: the printed board gives the world, instead of the table's depth: squares along both
-            sides, side of a square and of a marker [m].
+        charuco: define the world by a printed board instead of the table's depth; give the number
+            of squares along both sides, the side of a square and the side of a marker [m].
         robot_poses: CSV file with picture,x_m,y_m,z_m,qx,qy,qz,qw: pictures of the board that a
-            robot holds, and the gripper in the robot's base; needs --charuco.
+            robot holds, and gripper poses in the robot's base; needs --charuco.
         camera_on_hand: the camera is on the gripper and the board lies still; needs --output.
-        keep_world: the camera's pose is known, from a robot or TF: find the table alone, in the
-            world that camera and picker path stand in.
-        camera: which one, when there are several; the others keep their place beside it.
-        dictionary: of the board's markers.
-        output: write the result to this JSON file, and leave the recording as it is.
-        force: although a picker path, template or clouds stand in the present world already, or
-            the depth lies more than 10 mm (rms) from the plane found.
+        keep_world: keep the camera pose, known from a robot or TF, and find only the table in the
+            world of camera and picker path.
+        camera: name of the camera, if there are several; the others move along with it.
+        dictionary: dictionary of the board's markers.
+        output: write the result to this JSON file and leave the recording unchanged.
+        force: calibrate even if a picker path, template or clouds are already expressed in the
+            present world, or the depth lies more than 10 mm (rms) from the plane found.
 
     Raises:
-        InvalidConfigError: what is asked for excludes itself, or there is no such camera.
+        InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: no table or board is found.
     """
     from clothtrack.recordings.store import read_recording
@@ -98,7 +99,7 @@ def _placement(
     keep_world: bool,
     force: bool,
 ) -> "CameraPlacement":
-    """Where the camera is, by what was asked for."""
+    """Return the camera placement by the requested method."""
     from clothtrack_capture.camera_pose import (
         place_by_board,
         place_by_robot,
@@ -120,7 +121,7 @@ def _placement(
 def _placed(
     folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool
 ) -> Result:
-    """Save a placement where it was wanted, and say what it is."""
+    """Save a placement to the requested place and report it."""
     from clothtrack.recordings.store import read_recording
     from clothtrack_capture.camera_pose import place_camera, placement_doubt, save_placement
 

@@ -1,4 +1,4 @@
-"""Make a recording of other programs' files."""
+"""Import recordings from other programs' files."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,20 +18,21 @@ def import_recording(
     *,
     progress: "Progress | None" = None,
 ) -> "ImportReport":
-    """Make a recording of a ROS bag, a RealSense or Kinect file, or a folder of pictures.
+    """Make a recording from a ROS bag, a RealSense or Kinect file, or a folder of pictures.
 
-    Reads ROS 2 (.mcap, .db3, folders), ROS 1 and RealSense (.bag, .db3), Azure Kinect and Femto
-    (.mkv), and folders in the style of TUM, Open3D and BOP; docs/import.md has a table of each.
+    The supported formats are ROS 2 (.mcap, .db3, folders), ROS 1 and RealSense (.bag, .db3), Azure
+    Kinect and Femto (.mkv), and folders in the style of TUM, Open3D and BOP. docs/import.md has a
+    table of each.
 
     Args:
         source: file or folder.
         recording: folder to write; must not exist.
-        options: what a person says about the source.
-        progress: called with the name, frames done and frames in all.
+        options: information about the source from the user.
+        progress: function called with the name, the frames done and the total frames.
 
     Raises:
         InvalidRecordingError: the source cannot be read.
-        InvalidConfigError: what is said contradicts the source.
+        InvalidConfigError: an option contradicts the source.
         StorageError: the folder exists or the disk refuses.
     """
     require_capture()

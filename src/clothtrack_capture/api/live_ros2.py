@@ -1,4 +1,4 @@
-"""Track the cloth that a ROS 2 camera shows: the verb `live-ros2`."""
+"""Live tracking of the cloth seen by a ROS 2 camera: the verb `live-ros2`."""
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
@@ -46,40 +46,41 @@ def live_ros2(
     table: "Table | None" = None,
     config: "Ros2SourceConfig | None" = None,
 ) -> Result:
-    """Track the cloth that a ROS 2 camera shows, and publish its mesh, until depth ends or Ctrl-C.
+    """Track the cloth seen by a ROS 2 camera and publish its mesh, until depth ends or Ctrl-C.
 
     The mesh goes to /clothtrack/mesh and /clothtrack/vertices at the rate of the pictures, and to a
     page on this machine. An action begins when the gripper closes and ends when it has opened.
 
     Args:
-        output: trajectory that is written at the end (NAME.zarr); one that is there is refused.
-        kind: of the cloth, whose first mesh is laid into the first picture.
-        cloth_color: its named color, such as blue; by default what lies on the table is cloth.
-        depth: topic of the depth, registered to color.
-        color: topic of the color; an empty one for depth alone.
-        camera_info: topic of the intrinsics of these pictures.
-        world_frame: TF frame that is the world, with z up; needed with a tool. By default the table
-            in the first picture gives the world.
-        pose: topic of the pose of the tool's tip, in the world.
-        tool_frame: TF frame of the tool's tip, in place of a topic.
+        output: trajectory to write at the end (NAME.zarr); must not exist.
+        kind: kind of cloth; its first mesh is fitted to the first picture.
+        cloth_color: named color of the cloth, such as blue; by default everything on the table is
+            cloth.
+        depth: topic of depth, registered to color.
+        color: topic of color; empty for depth alone.
+        camera_info: topic of the pictures' intrinsics.
+        world_frame: TF frame of the world, with z up; required with a tool. By default the table in
+            the first picture defines the world.
+        pose: topic of the tool tip's pose, in the world.
+        tool_frame: TF frame of the tool's tip, instead of a topic.
         gripper: topic of the gripper.
-        closed_below: the gripper's number, or sum of joints, below which it is closed.
-        seconds: end after so many seconds of pictures.
+        closed_below: value of the gripper, or sum of its joints, below which it is closed.
+        seconds: end after this many seconds of pictures.
         mode: our default, the paper's method, or its dynamics alone.
-        template: the garment's own mesh (`clothtrack garment`), laid on the flat cloth of the first
+        template: mesh of this garment (`clothtrack garment`), fitted to the flat cloth in the first
             picture.
-        weights: of the network that makes the first mesh.
+        weights: weights of the network that makes the first mesh.
         settings: changes to the mode, such as color=false.
-        device: where to compute: cpu, or cuda:0.
-        opened: called with the address of the page; without it there is none.
-        cloth: all that is known of the cloth, in place of `kind` and `cloth_color`.
-        world_from_camera: the camera's pose, in place of TF.
-        table: the plane that the cloth lies on; found in the first picture by default.
-        config: how messages are read and joined.
+        device: device to compute on: cpu, or cuda:0.
+        opened: function called with the address of the page; without it there is no page.
+        cloth: everything known about the cloth, instead of `kind` and `cloth_color`.
+        world_from_camera: camera pose, instead of TF.
+        table: plane that the cloth lies on; found in the first picture by default.
+        config: settings for reading and joining messages.
 
     Raises:
-        InvalidConfigError: an argument is wrong, the result is there already, or the extra [ros2]
-            is not installed.
+        InvalidConfigError: an argument is wrong, the result exists already, or the extra [ros2] is
+            not installed.
         InvalidRecordingError: a topic is silent, or the first picture cannot be used.
         StorageError: the disk refuses.
     """

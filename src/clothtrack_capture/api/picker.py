@@ -1,4 +1,4 @@
-"""Find what moved the cloth, and when it picked and placed."""
+"""Find the picker's path and its pick-and-places."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,21 +29,21 @@ def find_picker(
     force: bool = False,
     opened: "Callable[[str], None] | None" = None,
 ) -> Result:
-    """Find what moved the cloth, and its pick-and-places: a colored tip, or a hand, by clicks.
+    """Find pick-and-places of a colored tip automatically, or of a bare hand from clicks.
 
     Args:
         recording: folder with a recording.json that has a table (see calibrate-camera).
-        tip_color: name of the color of the tool's tip, such as pink.
-        tip_click: a click on the tip, in place of a color name.
-        by_hand: a bare hand moved it; a page opens to click picks and places on.
-        pick: where and in which frame a hand took the cloth, in place of the page; repeatable.
-        place: where and in which frame it let go, one for each --pick.
-        camera: which one to look through, when there are several.
-        force: replace the picker paths and actions that the recording has.
-        opened: called with the page's address.
+        tip_color: color name of the tool's tip, such as pink.
+        tip_click: click on the tip, instead of a color name.
+        by_hand: a bare hand moved the cloth; a page opens for clicking picks and places.
+        pick: frame and pixel at which a hand took the cloth, instead of the page; repeatable.
+        place: frame and pixel at which it let go, one for each --pick.
+        camera: name of the camera, if there are several.
+        force: replace the recording's picker paths and actions.
+        opened: function called with the page's address.
 
     Raises:
-        InvalidConfigError: what is asked for excludes itself, or there is no such camera.
+        InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: the recording has no table, or nothing is found.
     """
     from clothtrack.recordings.store import read_recording
@@ -68,7 +68,7 @@ def find_picker(
 
 
 def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -> Result:
-    """Picks and places from a colored tip."""
+    """Find picks and places of a colored tip."""
     from clothtrack_capture.picker_detection import find_picker as find
     from clothtrack_capture.picker_detection import keep_picker, tip_members
 
@@ -108,7 +108,7 @@ def _by_hand(
     clicks: tuple[Sequence[Place], Sequence[Place]],
     opened: Callable[[str], None] | None,
 ) -> Result:
-    """Picks and places from clicks, given or made on a page."""
+    """Find picks and places from clicks that are given or made on a page."""
     from clothtrack_capture.clicked_picking import ClickedPicking
     from clothtrack_capture.cloth_views import Click
 
@@ -141,5 +141,5 @@ def _by_hand(
 
 
 def _written(folder: Path) -> str:
-    """What says where a picker's path went."""
+    """Return a message that says where a picker's path was written."""
     return f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}"

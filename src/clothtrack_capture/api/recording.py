@@ -1,4 +1,4 @@
-"""Record from a camera that is connected to this machine."""
+"""Record from a connected camera."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,17 +21,17 @@ def record(
     source: "DepthCamera | None" = None,
     opened: "Callable[[str], None] | None" = None,
 ) -> Result:
-    """Record from a RealSense camera, with a page that shows the picture and says what to do.
+    """Record from a RealSense camera, with a page that shows the picture and instructions.
 
     Args:
         output: folder of the recording; must not exist.
-        seconds: record this long at once, without the page.
-        replay: a recording that stands in for the camera.
-        serial: number of the camera, when several are connected.
-        salvage: record nothing; make a recording of what a broken capture has left.
-        source: another camera, or one with pictures of another size (`open_realsense`); by default
-            a RealSense camera with pictures of 640 x 480, 30 per second.
-        opened: called with the page's address.
+        seconds: record for this long immediately, without the page.
+        replay: recording to replay in place of the camera.
+        serial: serial number of the camera, if several are connected.
+        salvage: record nothing, and make a recording from an interrupted capture.
+        source: another camera, or one with another picture size (`open_realsense`); by default a
+            RealSense camera with 640 x 480 pictures, 30 per second.
+        opened: function called with the page's address.
 
     Raises:
         InvalidConfigError: there is no camera, or its software is not installed.

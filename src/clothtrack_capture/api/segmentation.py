@@ -1,4 +1,4 @@
-"""Say which pixels of a recording are cloth, by one click."""
+"""Segment the cloth in a recording from one click."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,16 +19,16 @@ def segment(
     sheet: Path | str = Path("masks.png"),
     opened: "Callable[[str], None] | None" = None,
 ) -> Result:
-    """Show which pixels are cloth, by one click: on a page, or with --click.
+    """Mark the cloth pixels with one click, on a page or with --click.
 
     Args:
         recording: folder with a recording.json and color pictures.
-        click: on the cloth; without it a page opens on this machine, where a box can be drawn too.
-        frame: in which it is given.
-        camera: whose pictures, when there are several.
-        keep: write the masks into the recording; on the page there is a button for it.
-        sheet: with a click, write a picture of masks from all over the recording here.
-        opened: called with the page's address.
+        click: click on the cloth; without it a local page opens, where a box can be drawn too.
+        frame: frame of the click.
+        camera: name of the camera, if there are several.
+        keep: write the masks into the recording; the page has a button for it.
+        sheet: with a click, write a contact sheet of masks from the whole recording to this file.
+        opened: function called with the page's address.
 
     Raises:
         InvalidConfigError: there is no such camera or frame.

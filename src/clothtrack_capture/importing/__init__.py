@@ -1,4 +1,4 @@
-"""Other programs' files become recordings."""
+"""Import of other programs' files as recordings."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""ROS 1 bags, format 2.0 (wiki.ros.org/Bags/Format/2.0), walked from the start."""
+"""ROS 1 bags, format 2.0 (wiki.ros.org/Bags/Format/2.0), read from the start."""
 
 import struct
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ Header = dict[str, bytes]
 
 
 class BagContainer(ChunkedContainer):
-    """A ROS 1 bag; its index is not read, so it need not have one."""
+    """A ROS 1 bag; its index is not used and may be missing."""
 
     def __init__(self, path: Path) -> None:
         """Open the bag."""

@@ -21,14 +21,15 @@ _CLOCKS_DIFFER_NS = 10**9
 
 @dataclass(frozen=True)
 class BagPaths:
-    """Where the picker was.
+    """The picker's path in a bag.
 
     Attributes:
         paths: path per picker, in `frame`; times [s] count from `start_ns`.
-        start_ns: the first position's time [ns]; seconds since 1970 would lose digits.
-        frame: "world", "camera" or a frame that nothing ties to the camera.
-        origins: which topic or frame each thing came from.
-        notes: what to know, in words.
+        start_ns: time of the first position [ns], kept as an integer because seconds since 1970
+            lose digits.
+        frame: "world", "camera" or a frame without a transform to the camera.
+        origins: topic or frame that each item came from.
+        notes: remarks for the user.
     """
 
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
@@ -39,10 +40,10 @@ class BagPaths:
 
 
 def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
-    """Return the picker's path that was asked for, or nothing.
+    """Return the requested picker path, or None.
 
     Raises:
-        InvalidConfigError: the topic or frame is not there, or the gripper needs a limit.
+        InvalidConfigError: the topic or frame does not exist, or the gripper needs a limit.
     """
     if options.picker_topic is None and options.picker_frame is None:
         if options.gripper_topic is not None:
@@ -97,7 +98,8 @@ def _from_topic(
     positions = np.array([pose[2] for pose in poses])
     origin = poses[0][1]
     if not (target and origin and walk.tree.connects(target, origin)):
-        # Nothing ties its frame to the camera's; whether it is the world is for the person to say.
+        # No transform connects its frame to the camera's. The user must say whether it is the
+        # world.
         return times, positions, "camera" if origin and origin == target else repr(origin)
     poses_at = walk.tree.lookup(target, origin, times)
     moved = np.einsum("tij,tj->ti", poses_at[:, :3, :3], positions) + poses_at[:, :3, 3]
@@ -117,7 +119,7 @@ def _closed(
     text = sorted((time - gap, _is_closed(path, message, options)) for time, message in walk.grips)
     when = np.array([time for time, _ in text])
     what = np.array([closed for _, closed in text])
-    # Before the first message the gripper is taken to be as that message says.
+    # Before the first message, assume the state that this message reports.
     last = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
     notes = []
     if gap:

@@ -1,4 +1,4 @@
-"""One walk through a bag: the place of every picture, and what little else is worth keeping."""
+"""One pass through a bag that collects the position of every picture and a few other messages."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -25,15 +25,15 @@ _CLOCK_SAMPLES = 200
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a file starts like one of the bags."""
+    """Return whether a file starts like one of the supported bags."""
     return _container_of(path) is not None
 
 
 def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
-    """Return the containers of a bag in one or several files, and the format in words.
+    """Return the containers of a bag in one or several files, and the name of the format.
 
     Raises:
-        InvalidRecordingError: one of them is no bag.
+        InvalidRecordingError: one of the files is not a bag.
     """
     containers: list[Container] = []
     words = ""
@@ -67,19 +67,19 @@ def _container_of(path: Path) -> tuple[type, str] | None:
 
 @dataclass
 class Walk:
-    """What one walk through a bag gives.
+    """The result of one pass through a bag.
 
     Attributes:
-        pose_topic: topic of the picker's pose, when asked for.
-        grip_topic: topic of the gripper, when asked for.
+        pose_topic: topic of the picker's pose, if requested.
+        grip_topic: topic of the gripper, if requested.
         topics: every topic.
         frames: pictures per topic name.
         infos: first CameraInfo per topic name.
-        heard: first message of the SDK's options and poses per topic name.
+        heard: first message per topic name of the SDK's options and poses.
         tree: TF.
-        poses: (time [ns], frame, position [m]) of the topic asked for.
-        grips: (time [ns], message) of the gripper topic asked for; times as in headers.
-        gaps_ns: time of writing minus time in the header, of the first pictures.
+        poses: (time [ns], frame, position [m]) from the pose topic.
+        grips: (time [ns], message) from the gripper topic; times as in headers.
+        gaps_ns: write time minus header time of the first pictures [ns].
     """
 
     pose_topic: str | None = None
@@ -95,17 +95,17 @@ class Walk:
 
     @property
     def clock_gap_ns(self) -> int:
-        """Time of writing minus time in the header, median over the first pictures."""
+        """Write time minus header time [ns], median over the first pictures."""
         return sorted(self.gaps_ns)[len(self.gaps_ns) // 2] if self.gaps_ns else 0
 
 
 def walk(
     containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
 ) -> Walk:
-    """Walk through every part of a bag once.
+    """Read every part of a bag once.
 
     Raises:
-        InvalidRecordingError: a part breaks off or is damaged.
+        InvalidRecordingError: a part is truncated or damaged.
     """
     result = Walk(pose_topic, grip_topic)
     for part, container in enumerate(containers):
@@ -161,7 +161,7 @@ def _pose(result: Walk, container: Container, message: Message, place: Place) ->
 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:
-    """Return the frame in the header of a picture, "" when it has none."""
+    """Return the frame in the header of a picture; "" if it has none."""
     with suppress(TruncatedError):
         data = payload(container, place)[:512]
         order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"

@@ -1,8 +1,8 @@
-"""Files full of messages: what ROS 1, MCAP and SQLite bags have in common.
+"""Message containers: the common parts of ROS 1, MCAP and SQLite bags.
 
-Each is walked once from its start, record by record, and every size is checked against the file
-before it is believed: a file that lies about its sizes costs no memory. Only the place of a message
-is kept; its bytes are fetched when they are needed. A file that breaks off is refused.
+Each file is read once from its start, record by record. Every size is checked against the file
+before it is used, so that a wrong size costs no memory. Only the position of a message is kept; its
+bytes are fetched when they are needed. Truncated files are refused.
 """
 
 import bz2
@@ -19,14 +19,14 @@ import zstandard
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
 
-# Larger than any picture and any chunk that a recorder writes; what claims more is damaged.
+# Larger than any picture or chunk that a recorder writes; a larger size means a damaged file.
 MOST_BYTES = 96 * 2**20
 MOST_TOPICS = 10_000
 _CACHED_BYTES = 2 * MOST_BYTES
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 Read = Callable[[int, int], bytes]
-"""Return so many bytes from a position, all of them, or raise `TruncatedError`."""
+"""A function (position, size) that returns exactly `size` bytes or raises `TruncatedError`."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Topic:
     """A topic of a bag.
 
     Attributes:
-        name: such as "/camera/depth/image_raw".
+        name: topic name, such as "/camera/depth/image_raw".
         kind: message type in the ROS 2 spelling, such as "sensor_msgs/msg/Image".
-        cdr: messages are serialized as in ROS 2 (CDR), else as in ROS 1.
+        cdr: whether messages are serialized as in ROS 2 (CDR); otherwise as in ROS 1.
     """
 
     name: str
@@ -45,13 +45,13 @@ class Topic:
 
 
 class Place(NamedTuple):
-    """Where a message's bytes lie.
+    """The position of a message's bytes.
 
     Attributes:
-        chunk: file position of the compressed chunk, or -1 when they lie open in the file.
-        offset: position in the chunk, in the file, or the row of a data base.
-        size: how many bytes.
-        part: which file of a bag in several parts.
+        chunk: file position of the compressed chunk, or -1 if the bytes are not in a chunk.
+        offset: position in the chunk or in the file, or the row of a database.
+        size: number of bytes.
+        part: index of the file in a bag of several parts.
     """
 
     chunk: int
@@ -61,7 +61,7 @@ class Place(NamedTuple):
 
 
 class Message(NamedTuple):
-    """One message: of which topic, when it was written [ns] and where it lies."""
+    """One message: its topic, its write time [ns] and its position."""
 
     topic: Topic
     log_ns: int
@@ -75,14 +75,14 @@ class Container(Protocol):
     path: Path
 
     def topics(self) -> list[Topic]:
-        """Return every topic known so far; complete when the walk has ended."""
+        """Return every topic known so far; the list is complete after reading all messages."""
         ...
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message, in the order of the file.
+        """Yield every message in file order.
 
         Raises:
-            TruncatedError: the file breaks off or is damaged.
+            TruncatedError: the file is truncated or damaged.
         """
         ...
 
@@ -90,7 +90,7 @@ class Container(Protocol):
         """Return the bytes of a message, or only the first `most`.
 
         Raises:
-            TruncatedError: they are not there.
+            TruncatedError: the bytes are missing.
         """
         ...
 
@@ -100,13 +100,13 @@ class Container(Protocol):
 
 
 class BagFile:
-    """A file whose bytes are read where they are needed, and a few chunks of it unpacked."""
+    """A file read on demand, with a cache of a few unpacked chunks."""
 
     def __init__(self, path: Path) -> None:
         """Open the file for reading.
 
         Raises:
-            InvalidRecordingError: it cannot be opened.
+            InvalidRecordingError: the file cannot be opened.
         """
         self.path = path
         try:
@@ -117,15 +117,15 @@ class BagFile:
         self._chunks: OrderedDict[int, bytes] = OrderedDict()
 
     def close(self) -> None:
-        """Close the file and forget what was unpacked."""
+        """Close the file and clear the cache."""
         self._chunks.clear()
         self._file.close()
 
     def read(self, position: int, size: int) -> bytes:
-        """Return bytes of the file, all of them.
+        """Return exactly `size` bytes from a position of the file.
 
         Raises:
-            TruncatedError: the file ends before, or nobody writes so many at once.
+            TruncatedError: the file ends too early, or the size exceeds the limit.
         """
         if 0 <= size <= MOST_BYTES and position + size <= self.size:
             data = os.pread(self._file.fileno(), size, position)
@@ -134,7 +134,7 @@ class BagFile:
         raise TruncatedError(f"{size} bytes at {position} of {self.size}")
 
     def unpacked(self, position: int, unpack: Callable[[], bytes]) -> bytes:
-        """Return the chunk at a position; the latest ones are kept for the next messages."""
+        """Return the unpacked chunk at a position; the latest chunks are cached."""
         if position in self._chunks:
             self._chunks.move_to_end(position)
         else:
@@ -145,13 +145,13 @@ class BagFile:
 
 
 class Record(NamedTuple):
-    """One record of a file in chunks.
+    """One record of a chunked file.
 
     Attributes:
         kind: "message", "chunk", "definition" (of a topic), "end" (of the messages), or "".
-        head: what the format says before the data.
-        start: where the data begin.
-        stop: where they end, and the next record begins.
+        head: header of the record.
+        start: position at which the data begin.
+        stop: position at which the data end and the next record begins.
     """
 
     kind: str
@@ -161,13 +161,13 @@ class Record(NamedTuple):
 
 
 class ChunkedContainer(ABC):
-    """The walk through a file of records, some of which are chunks of further records."""
+    """A reader for files of records, some of which are chunks of further records."""
 
     def __init__(self, path: Path, *, begin: int) -> None:
-        """Open the file, whose first record begins at this position.
+        """Open the file, whose first record begins at `begin`.
 
         Raises:
-            InvalidRecordingError: it cannot be opened.
+            InvalidRecordingError: the file cannot be opened.
         """
         self.path, self._begin = path, begin
         self._file = BagFile(path)
@@ -178,10 +178,10 @@ class ChunkedContainer(ABC):
         return list(self._topics.values())
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message, in the order of the file.
+        """Yield every message in file order.
 
         Raises:
-            TruncatedError: the file breaks off or is damaged.
+            TruncatedError: the file is truncated or damaged.
         """
         yield from self._walk(self._file.read, self._begin, self._file.size, -1)
 
@@ -189,7 +189,7 @@ class ChunkedContainer(ABC):
         """Return the bytes of a message, or only the first `most`.
 
         Raises:
-            TruncatedError: they are not there.
+            TruncatedError: the bytes are missing.
         """
         size = place.size if most is None else min(most, place.size)
         if place.chunk < 0:
@@ -201,7 +201,7 @@ class ChunkedContainer(ABC):
         self._file.close()
 
     def _walk(self, read: Read, position: int, end: int, chunk: int) -> Iterator[Message]:
-        """Yield the messages between two positions of the file (chunk -1) or of a chunk."""
+        """Yield the messages between two positions of the file (chunk -1) or a chunk."""
         while position < end:
             record = self._record(read, position)
             if record.stop > end:
@@ -227,7 +227,7 @@ class ChunkedContainer(ABC):
         self._topics[number] = topic
 
     def _unpacked(self, position: int) -> bytes:
-        """Return the packed chunk at a position of the file."""
+        """Return the unpacked bytes of the chunk at a position of the file."""
         return self._file.unpacked(
             position, lambda: self._unpack(self._record(self._file.read, position))
         )
@@ -246,7 +246,7 @@ class ChunkedContainer(ABC):
 
     @abstractmethod
     def _packed(self, record: Record) -> tuple[str, int, int]:
-        """Return a chunk's compression, and where its packed bytes begin and end."""
+        """Return a chunk's compression, and the start and end of its packed bytes."""
 
     @abstractmethod
     def _unpack(self, record: Record) -> bytes:
@@ -263,15 +263,15 @@ def _reader(data: bytes) -> Read:
 
 
 def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
-    """Return decompressed bytes, never more than the limit.
+    """Return the decompressed bytes, at most as many as the limit.
 
     Args:
-        data: what was compressed.
-        compression: "zstd", "lz4", "bz2" or nothing.
-        size: how many bytes it must give, when known.
+        data: compressed bytes.
+        compression: "zstd", "lz4", "bz2" or empty.
+        size: expected number of bytes, if known.
 
     Raises:
-        TruncatedError: damaged, larger than the limit or of an unknown kind.
+        TruncatedError: the data are damaged, larger than the limit or of an unknown kind.
     """
     most = MOST_BYTES if size is None else size
     if most > MOST_BYTES:

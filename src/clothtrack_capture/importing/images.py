@@ -1,6 +1,6 @@
-"""Pictures inside messages and files: raw, PNG or JPEG, to counts of depth or to red-green-blue.
+"""Decoding of pictures in messages and files (raw, PNG or JPEG) to depth counts or RGB.
 
-Sizes are read from the first bytes and held against a limit before anything is unpacked.
+Sizes are read from the first bytes and checked against a limit before anything is unpacked.
 """
 
 import struct
@@ -27,7 +27,7 @@ _TO_RGB = {
     "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
     "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
     "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
-    # OpenCV names a pattern by its second row and column, ROS by its first.
+    # OpenCV names a pattern by its second row and column, ROS by its first row and column.
     "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB),
     "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
     "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB),
@@ -39,10 +39,10 @@ _HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two paramete
 
 
 def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
-    """Return the rows of a sensor_msgs Image without their padding.
+    """Return the rows of a sensor_msgs Image without padding.
 
     Raises:
-        TruncatedError: its sizes contradict each other.
+        TruncatedError: the sizes contradict each other.
     """
     width, height, step = int(image.width), int(image.height), int(image.step)
     row = width * bytes_per_pixel
@@ -55,10 +55,10 @@ def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height byt
 def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
     """Return the depth of a sensor_msgs Image in whole units.
 
-    0 where there is none or it is out of range.
+    Depth is 0 where it is missing or out of range.
 
     Raises:
-        TruncatedError: it is no depth picture.
+        TruncatedError: the image is not a depth picture.
     """
     encoding = str(image.encoding).lower()
     if encoding not in _DEPTH_ENCODINGS:
@@ -76,11 +76,11 @@ def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
     """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
 
     Args:
-        image: of counts, or of floats in meters (REP 118).
+        image: image of counts, or of floats in meters (REP 118).
         unit_m: meters per count.
 
     Raises:
-        TruncatedError: it is no depth picture.
+        TruncatedError: the image is not a depth picture.
     """
     if str(image.encoding).lower() != "32fc1":
         return np.multiply(raw_depth(image, unit_m), np.float32(unit_m), dtype=np.float32)
@@ -92,7 +92,7 @@ def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
 def _counts_of(
     meters: Shaped[np.ndarray, "height width"], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
-    """Return meters in whole units; 0 where not finite, not positive or beyond 65,535 units."""
+    """Return depth in whole units; 0 where not finite, not positive or above 65,535 units."""
     with np.errstate(invalid="ignore", over="ignore"):
         units = np.rint(meters.astype(np.float32) / np.float32(unit_m))
         return np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
@@ -102,7 +102,7 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
     """Return red, green and blue of a sensor_msgs Image.
 
     Raises:
-        TruncatedError: its encoding is unknown.
+        TruncatedError: the encoding is unknown.
     """
     encoding = str(image.encoding).lower()
     if encoding not in _TO_RGB:
@@ -115,10 +115,10 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
-    """Return red, green and blue of a whole JPEG or PNG.
+    """Return red, green and blue of a complete JPEG or PNG.
 
     Raises:
-        TruncatedError: it breaks off, is too large or something else.
+        TruncatedError: the file is truncated, too large or of another kind.
     """
     encoded_size(data)
     try:
@@ -135,11 +135,11 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
     """Return the PNG in a CompressedImage of the transport `compressedDepth`.
 
-    It follows a head of 12 bytes. With it what turns its numbers into meters, where depth was
-    measured in floats; else they are counts.
+    The PNG follows a header of 12 bytes. If depth was measured in floats, the two parameters that
+    convert its numbers to meters are returned too; otherwise its numbers are counts.
 
     Raises:
-        TruncatedError: compressed otherwise.
+        TruncatedError: the message is compressed in another way.
     """
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
@@ -158,11 +158,11 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
 def inverse_depth(
     png: bytes, curve: tuple[float, float], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
-    """Return depth, in whole units, of a PNG that stores a / z + b.
+    """Return depth in whole units from a PNG that stores a / z + b.
 
     Args:
-        png: of 16-bit gray.
-        curve: a and b.
+        png: 16-bit gray PNG.
+        curve: parameters a and b.
         unit_m: meters per unit of the result.
 
     Raises:
@@ -175,10 +175,10 @@ def inverse_depth(
 
 
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
-    """Return the counts of a whole 16-bit gray PNG.
+    """Return the counts of a complete 16-bit gray PNG.
 
     Raises:
-        TruncatedError: it breaks off, is too large or has other bits.
+        TruncatedError: the PNG is truncated, too large or has another bit depth.
     """
     encoded_size(data)
     if not data.startswith(SIGNATURE):
@@ -199,10 +199,10 @@ def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
 
 
 def encoded_size(data: bytes) -> tuple[int, int]:
-    """Return the width and height that a PNG or JPEG announces.
+    """Return the width and height in the header of a PNG or JPEG.
 
     Raises:
-        TruncatedError: it is neither, breaks off or is larger than any camera's picture.
+        TruncatedError: it is neither, is truncated or is larger than any camera's picture.
     """
     if data.startswith(SIGNATURE):
         try:

@@ -1,4 +1,4 @@
-"""What a person says about an import; `clothtrack import` makes its options of it."""
+"""Options of an import; they become the options of `clothtrack import`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,31 +7,32 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What a person says about an import; everything may be left to the source.
+    """The options of an import, all of which may be left to the source.
 
     Attributes:
-        depth_topic: topic of depth; found by the usual names.
-        color_topic: topic of color; found by the usual names.
+        depth_topic: topic of depth; found by the usual names by default.
+        color_topic: topic of color; found by the usual names by default.
         without_color: import depth alone.
-        depth_unit_m: meters per unit of depth, where the source does not say (0.001 = mm).
-        intrinsics: JSON file with the intrinsics, where the source has none.
+        depth_unit_m: meters per unit of depth, if the source does not say (0.001 = mm).
+        intrinsics: JSON file with the intrinsics, if the source has none.
         fps: pictures per second, for folders without time stamps.
-        tolerance_s: how far apart color and depth may be [s]; half the time between depth pictures
-            by default.
+        tolerance_s: largest time difference of color and depth [s]; half the time between depth
+            pictures by default.
         world_from_camera: JSON file with the color camera's pose in the world, 4 x 4, meters, and
-            with the table where `calibrate-camera --output` wrote it.
-        world_frame: TF frame that is the world.
-        picker_csv: the picker's path: picker.csv, or time,x,y,z[,closed] in seconds and meters.
-        picker_clock: clock of that file: 0 is the first frame, or the source's time stamps.
+            with the table if `calibrate-camera --output` wrote one.
+        world_frame: TF frame of the world.
+        picker_csv: CSV file of the picker's path: picker.csv, or time,x,y,z[,closed] in seconds and
+            meters.
+        picker_clock: clock of that file: zero at the first frame, or the source's time stamps.
         picker_topic: topic of the picker's tip: PoseStamped, PointStamped, Odometry, ...
         picker_frame: TF frame of the picker's tip.
-        gripper_topic: topic that tells when it is closed: Bool, a number, or finger joints.
-        gripper_closed_below: closed where that number (joints: their sum [m]) is smaller.
+        gripper_topic: topic of the gripper's state: Bool, a number, or finger joints.
+        gripper_closed_below: value below which that number (joints: their sum [m]) means closed.
         actions: first and last frame of every action, such as 10-50 60-90; from the gripper by
             default.
-        cloth: what is filmed.
-        cloth_color: its color's name, to tell it from the rest.
-        workers: threads; as many as processors, at most four, by default.
+        cloth: kind of cloth in the recording.
+        cloth_color: name of the cloth's color, for segmentation.
+        workers: number of threads; by default the number of processors, at most four.
     """
 
     depth_topic: str | None = None

@@ -1,4 +1,4 @@
-"""`clothtrack import`: a recording of another program becomes one of ours, frame by frame."""
+"""`clothtrack import`: conversion of another program's recording, frame by frame."""
 
 import os
 from collections import Counter, deque
@@ -38,15 +38,15 @@ _MOST_WORKERS = 4
 
 
 CAMERA = "camera"
-"""What the camera is called in the recording."""
+"""Name of the camera in the recording."""
 
 
 def open_source(path: Path, options: ImportOptions) -> Source:
-    """Return the source that a file or folder is.
+    """Return the source for a file or folder.
 
     Raises:
-        InvalidRecordingError: it is none, or cannot be read.
-        InvalidConfigError: what is said contradicts it.
+        InvalidRecordingError: it is not a supported source, or cannot be read.
+        InvalidConfigError: an option contradicts it.
     """
     if not path.exists():
         raise InvalidRecordingError(f"{path}: there is no such file or folder; check the name")
@@ -83,17 +83,17 @@ def import_recording(
     *,
     progress: Progress | None = None,
 ) -> ImportReport:
-    """Import a recording; it appears whole under its name, or not at all.
+    """Import a recording, completely or not at all.
 
     Args:
         source: ROS bag, RealSense or Kinect recording, or folder of pictures.
-        folder: the recording to write; must not exist.
-        options: what a person says about it.
-        progress: told the name, frames done and frames in all.
+        folder: folder of the recording to write; must not exist.
+        options: options of the import.
+        progress: function called with the name, the frames done and the total frames.
 
     Raises:
         InvalidRecordingError: the source cannot be read.
-        InvalidConfigError: what is said contradicts the source.
+        InvalidConfigError: an option contradicts the source.
         StorageError: the folder exists or the disk refuses.
     """
     options = options or ImportOptions()
@@ -155,7 +155,7 @@ def _write_frames(
     workers: int,
     progress: Progress | None,
 ) -> tuple[list[float], Counter[str]]:
-    """Write every pair that can be decoded; their times, and why others could not be."""
+    """Write all decodable pairs; return their times and the reasons why others failed."""
     start_ns = pairs[0].depth.time_ns
     times: list[float] = []
     damaged: Counter[str] = Counter()
@@ -179,13 +179,13 @@ class _Encoded:
 
 
 class _Job:
-    """Reads a pair, and decodes, registers and encodes it in another thread."""
+    """A job that reads a pair, and decodes, registers and encodes it in another thread."""
 
     def __init__(self, source: Source, registration: Registration) -> None:
         self._source, self._registration = source, registration
 
     def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
-        """Read the bytes here, where the file's order is kept; the rest in the pool."""
+        """Read the bytes here, in file order, and do the rest in the pool."""
         try:
             depth = self._source.depth(moment.depth)
             color = None if moment.color is None else self._source.color(moment.color)
@@ -206,7 +206,7 @@ def _png_of(
     keeps: Callable[[tuple[int, int]], bool],
     carry: Callable[[np.ndarray], np.ndarray],
 ) -> bytes:
-    """Return the PNG of a picture: the source's own where it may stay."""
+    """Return the PNG of a picture, reusing the source's own file if possible."""
     if isinstance(content, PackedPicture):
         png = content.plain_png() if keeps(content.size) else None
         if png is not None:
@@ -218,7 +218,7 @@ def _png_of(
 def _in_order(
     job: _Job, pairs: Sequence[Pair], workers: int
 ) -> Iterator[tuple[Pair, _Encoded | TruncatedError]]:
-    """Yield every pair with its result, in order; only a few are in memory at any time."""
+    """Yield every pair with its result, in order, with only a few in memory at a time."""
     waiting: deque[tuple[Pair, Future[_Encoded] | TruncatedError]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -269,7 +269,7 @@ def _check(options: ImportOptions, folder: Path) -> None:
 def _world(
     options: ImportOptions, streams: Streams
 ) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
-    """Return the camera's pose and the table, as far as anybody knows them."""
+    """Return the camera pose and the table as far as they are known."""
     file = options.world_from_camera
     if file is None:
         return streams.world_from_camera, None

@@ -1,4 +1,4 @@
-"""What an import found, what it left out and what is still missing before tracking."""
+"""The report of an import: what was found, left out, and is still missing for tracking."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,28 +14,28 @@ from clothtrack_capture.importing.source import Streams
 
 @dataclass(frozen=True)
 class ImportReport:
-    """The answer of `clothtrack import`.
+    """The report of `clothtrack import`.
 
     Attributes:
         recording: folder that was written.
-        source: what was read.
-        kind: its format in words.
-        frames: how many frames were written.
+        source: file or folder that was read.
+        kind: name of its format.
+        frames: number of frames written.
         duration_s: time from the first to the last frame [s].
-        frames_per_s: frames per second, over the whole duration [1/s].
-        camera: the recording's camera, in words.
-        streams: which topic, track or folder each thing came from.
+        frames_per_s: mean frame rate over the whole duration [1/s].
+        camera: description of the recording's camera.
+        streams: topic, track or folder that each item came from.
         depth_unit_m: meters per unit of depth.
-        depth_unit_origin: where the unit comes from.
-        registration: whether depth had to be carried to the color camera.
-        tolerance_s: how far apart the pictures of a frame may be [s].
-        worst_apart_s: how far apart they are at most [s].
-        dropped: what was left out, in words.
-        notes: what else to know.
-        pickers: samples of the path per picker.
+        depth_unit_origin: origin of the unit.
+        registration: whether depth had to be registered to the color camera.
+        tolerance_s: largest allowed time difference between the pictures of a frame [s].
+        worst_apart_s: largest time difference found [s].
+        dropped: description of what was left out.
+        notes: other remarks.
+        pickers: number of path samples per picker.
         actions: first and last frame of every action.
-        missing: what tracking still needs, and how to get it.
-        next_command: what to run next.
+        missing: data that tracking still needs, and how to get them.
+        next_command: command to run next.
     """
 
     recording: Path
@@ -59,7 +59,7 @@ class ImportReport:
     next_command: str
 
     def text(self) -> str:
-        """Return the report for a person."""
+        """Return the report as text."""
         facts = {
             "source": f"{self.source} ({self.kind})",
             "frames": f"{self.frames} in {self.duration_s:.3f} s ({self.frames_per_s:.1f} per s)",
@@ -87,7 +87,7 @@ class ImportReport:
         return "\n".join([*lines, f"  next: {self.next_command}"])
 
     def as_dict(self) -> dict[str, object]:
-        """Return the report for a program, as JSON holds it."""
+        """Return the report as JSON content."""
         content: dict[str, object] = asdict(self)
         content |= {"recording": str(self.recording), "source": str(self.source)}
         return content
@@ -110,7 +110,7 @@ def report_of(
     table: bool,
     cloth: ClothDescription,
 ) -> ImportReport:
-    """Return what was found, left out and is missing."""
+    """Return the report of an import."""
     duration = times[-1] - times[0]
     return ImportReport(
         recording=folder,
@@ -148,7 +148,7 @@ def report_of(
 
 
 def _aside(pickers: object) -> str:
-    """Return the option that keeps a calibration out of a recording that has a picker path."""
+    """Return the option that keeps a calibration from changing a recording with a picker path."""
     return " --output camera.json" if pickers else ""
 
 

@@ -1,4 +1,4 @@
-"""Intrinsics of other programs' cameras: the pinhole, with distortion or without."""
+"""Pinhole intrinsics of other programs' cameras, with or without distortion."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +11,7 @@ from jaxtyping import Float, Shaped
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 
-# A frame of more pixels comes from a damaged header: the largest sensor here has 4096 x 3072.
+# More pixels mean a damaged header, because the largest supported sensor has 4096 x 3072.
 MOST_PIXELS = 4096 * 4096
 _BROWN_LENGTHS = (0, 4, 5, 8, 12, 14)
 _STRAIGHT_BELOW = 1e-9
@@ -21,7 +21,7 @@ _WIDEST_RAY = 100.0  # tangent of the angle to the axis: less than a degree from
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """How a camera maps directions to pixels, distortion included; pixel centers at integers.
+    """Camera intrinsics with distortion; pixel centers are at integers.
 
     Attributes:
         width: picture width [pixels].
@@ -31,7 +31,7 @@ class Intrinsics:
         cx: column of the principal point [pixels].
         cy: row of the principal point [pixels].
         distortion: coefficients in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6, or k1..k4 of a fisheye.
-        fisheye: the equidistant model instead of Brown and Conrady's.
+        fisheye: whether the model is equidistant instead of Brown and Conrady's.
     """
 
     width: int
@@ -44,7 +44,7 @@ class Intrinsics:
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be intrinsics.
+        """Refuse impossible intrinsics.
 
         Raises:
             InvalidRecordingError: with the value and the limit.
@@ -82,7 +82,7 @@ class Intrinsics:
         return self.width, self.height
 
     def rectified(self) -> "Intrinsics":
-        """Return the pinhole with the same focal lengths and center, without distortion."""
+        """Return the pinhole with the same focal lengths and center but without distortion."""
         return replace(self, distortion=(), fisheye=False)
 
     def camera(self, name: str, world_from_camera: Float[np.ndarray, "4 4"]) -> Camera:
@@ -92,7 +92,7 @@ class Intrinsics:
         )
 
     def same_pixels(self, other: "Intrinsics") -> bool:
-        """Whether both map every direction to the same pixel (to a thousandth of a pixel)."""
+        """Return whether both map every direction to the same pixel, to a thousandth of a pixel."""
         if self.size != other.size or self.straight != other.straight:
             return False
         if not self.straight and (self.distortion, self.fisheye) != (
@@ -109,9 +109,9 @@ class Intrinsics:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     def corner_rays(self) -> Float[np.ndarray, "rows columns 2"]:
-        """Direction (x / z, y / z) of every pixel's corner, one row and column more than pixels.
+        """Return the ray (x / z, y / z) of every pixel corner, one row and column more than pixels.
 
-        Where the distortion cannot be undone (a wide lens's rim), the direction is nan.
+        The ray is nan where the distortion cannot be inverted (the rim of a wide lens).
         """
         columns, rows = np.meshgrid(
             np.arange(self.width + 1) - 0.5, np.arange(self.height + 1) - 0.5
@@ -127,7 +127,7 @@ class Intrinsics:
             back = cv2.fisheye.distortPoints(rays, self.matrix, coefficients)
         else:
             stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-9)
-            # OpenCV 4 gives the function that takes a limit a name of its own.
+            # OpenCV 4 has a separate name for the function with a limit on iterations.
             undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
             rays = undistort(
                 pixels, self.matrix, coefficients, R=np.eye(3), P=np.eye(3), criteria=stop
@@ -150,13 +150,13 @@ class Intrinsics:
     def straighten(
         self, picture: Shaped[np.ndarray, "height width *channels"], *, nearest: bool = False
     ) -> Shaped[np.ndarray, "height width *channels"]:
-        """Return the picture that the rectified lens would have taken.
+        """Return the undistorted picture.
 
-        Black where it would see more.
+        It is black where the original picture has no pixels.
 
         Args:
-            picture: taken through this lens.
-            nearest: copy the nearest pixel (depth) instead of interpolating (color).
+            picture: picture taken through this lens.
+            nearest: whether to copy the nearest pixel (depth) instead of interpolating (color).
         """
         if self.straight:
             return picture

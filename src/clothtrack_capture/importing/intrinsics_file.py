@@ -1,4 +1,4 @@
-"""A JSON file with the intrinsics, for sources that do not carry them."""
+"""JSON files with intrinsics, for sources that do not contain them."""
 
 import json
 import sys
@@ -21,19 +21,19 @@ _FIELDS = (
     | dict.fromkeys(("fx", "fy", "fps", "depth_scale"), (float, Bounds(above=0)))
     | dict.fromkeys(("cx", "cy"), (float, Bounds()))
 )
-"""Kind and limits of every number that a file may have."""
+"""Type and limits of every number in the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicsFile:
-    """What the file says.
+    """The content of the file.
 
     Attributes:
         depth: intrinsics of the depth pictures.
         color: intrinsics of the color pictures.
         color_from_depth: rigid transform, depth camera to color camera [m].
-        fps: pictures per second [1/s], when the file says.
-        depth_unit_m: meters per unit of depth [m], when the file says.
+        fps: pictures per second [1/s], if the file has it.
+        depth_unit_m: meters per unit of depth [m], if the file has it.
     """
 
     depth: Intrinsics
@@ -43,16 +43,16 @@ class IntrinsicsFile:
     depth_unit_m: float | None = None
 
     def calibration(self, unit_m: float, origin: str, *, with_color: bool) -> StereoCalibration:
-        """Return the calibration of a source with this unit of depth [m] and its origin."""
+        """Return the calibration of a source with this depth unit [m] and its origin."""
         color = self.color if with_color else None
         return StereoCalibration(self.depth, color, self.color_from_depth, unit_m, origin)
 
 
 def read_json(path: Path) -> Any:
-    """Return a JSON file of reasonable size.
+    """Return the content of a JSON file of limited size.
 
     Raises:
-        InvalidRecordingError: it is missing, too large or no JSON.
+        InvalidRecordingError: the file is missing, too large or not JSON.
     """
     try:
         if path.stat().st_size > _LARGEST_FILE:
@@ -69,12 +69,13 @@ def read_json(path: Path) -> Any:
 def read_intrinsics(path: Path) -> IntrinsicsFile:
     """Return the intrinsics in a JSON file.
 
-    Either one set for both pictures, which then are registered (`width`, `height` and `fx`, `fy`,
-    `cx`, `cy`; or Open3D's `intrinsic_matrix`, nine numbers by columns), or `depth`, `color` and
-    `color_from_depth`. A set may have `distortion` and `model` ("brown" or "fisheye").
+    The file has either one set of intrinsics for both pictures, which then must be registered
+    (`width`, `height` and `fx`, `fy`, `cx`, `cy`; or Open3D's `intrinsic_matrix`, nine numbers by
+    columns), or `depth`, `color` and `color_from_depth`. A set may have `distortion` and `model`
+    ("brown" or "fisheye").
 
     Raises:
-        InvalidRecordingError: a field is missing or is not what it should be.
+        InvalidRecordingError: a field is missing or invalid.
     """
     content = read_json(path)
     if not isinstance(content, dict):
@@ -97,14 +98,14 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
 
 
 def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
-    """Return a rigid 4 x 4 matrix, by rows.
+    """Return a rigid 4 x 4 matrix from its rows.
 
     Args:
-        what: file and field, for the error.
+        what: file and field, for the error message.
         value: nested lists.
 
     Raises:
-        InvalidRecordingError: it is not rigid.
+        InvalidRecordingError: the matrix is not rigid.
     """
     try:
         matrix = np.array(value, dtype=np.float64)

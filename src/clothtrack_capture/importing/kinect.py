@@ -28,13 +28,13 @@ def is_kinect(path: Path) -> bool:
 
 
 class KinectSource:
-    """A Matroska file with the tracks COLOR and DEPTH and the calibration attached."""
+    """A Matroska file with the tracks COLOR and DEPTH and an attached calibration."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
-        """Walk through the file and read the calibration.
+        """Read the file's index and the calibration.
 
         Raises:
-            InvalidRecordingError: it has no depth, no calibration, or a mode nobody knows.
+            InvalidRecordingError: it has no depth, no calibration, or an unknown mode.
         """
         self._path = path
         self._file = Matroska(path)
@@ -45,18 +45,18 @@ class KinectSource:
             raise
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives the counts of a depth picture."""
+        """Return a function that decodes the counts of a depth picture."""
         data = self._file.fetch(frame.place)
         return partial(_depth, data, self._depth_track.width, self._depth_track.height)
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives red, green and blue."""
+        """Return a function that decodes red, green and blue."""
         data = self._file.fetch(frame.place)
         assert self._color_track is not None
         return partial(_color, data, self._color_track)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def _find(self, options: ImportOptions) -> Streams:

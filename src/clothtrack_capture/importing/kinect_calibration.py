@@ -1,8 +1,8 @@
-"""The factory calibration of an Azure Kinect or Orbbec Femto, for the modes it was recorded in.
+"""The factory calibration of an Azure Kinect or Orbbec Femto, for each recording mode.
 
-The JSON holds each camera's intrinsics for its full sensor, in shares of the sensor's sides, with
-the first pixel's outer corner at (0, 0). A mode bins and crops the sensor; OpenCV's origin is the
-first pixel's center. (Modes as in the Azure Kinect Sensor SDK, `mode_specific_calibration.c`.)
+The JSON holds each camera's intrinsics for its full sensor, as shares of the sensor's sides, with
+the first pixel's outer corner at (0, 0). A mode bins and crops the sensor. OpenCV's origin is the
+center of the first pixel. (Modes as in the Azure Kinect Sensor SDK, `mode_specific_calibration.c`.)
 """
 
 import json
@@ -32,7 +32,7 @@ _COLOR_MODES = {
     (3840, 2160): ((3840, 2880), (0, 360)),
     (4096, 3072): ((4096, 3072), (0, 0)),
 }
-# Old calibrations are for a picture of 16:9 cut out of the sensor of 4:3.
+# Old calibrations are for a 16:9 picture cropped from the 4:3 sensor.
 _LEGACY = ((4096, 2304), (0, -384), (4096, 3072))
 _DEPTH_PLACE, _COLOR_PLACE = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
 _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
@@ -41,16 +41,16 @@ _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
 def kinect_intrinsics(
     path: Path, text: bytes, depth_size: tuple[int, int], color_size: tuple[int, int] | None
 ) -> tuple[Intrinsics, Intrinsics | None, Float[np.ndarray, "4 4"]]:
-    """Return the lenses of depth and color and the transform from depth to color camera [m].
+    """Return the intrinsics of depth and color and the transform from depth to color camera [m].
 
     Args:
-        path: the recording, for errors.
-        text: the calibration, JSON.
+        path: path of the recording, for error messages.
+        text: calibration as JSON.
         depth_size: width and height of the depth pictures [pixels].
         color_size: width and height of the color pictures [pixels]; None without color.
 
     Raises:
-        InvalidRecordingError: the calibration is damaged or the mode unknown.
+        InvalidRecordingError: the calibration is damaged or the mode is unknown.
     """
     for what, size, modes in (
         ("depth", depth_size, _DEPTH_MODES), ("color", color_size, _COLOR_MODES)
@@ -110,7 +110,7 @@ def _intrinsics(
 
 
 def _pose(camera: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
-    """Takes points of the device to this camera [m]."""
+    """Return the transform from the device to this camera [m]."""
     result = np.eye(4)
     result[:3, :3] = np.array(camera["Rt"]["Rotation"], dtype=np.float64).reshape(3, 3)
     result[:3, 3] = np.array(camera["Rt"]["Translation"], dtype=np.float64)

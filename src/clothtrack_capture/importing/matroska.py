@@ -1,7 +1,7 @@
-"""Matroska files, read by FFmpeg: tracks, tags, attachments, and the place of every picture.
+"""Matroska files, read by FFmpeg: tracks, tags, attachments and the position of every picture.
 
-Pictures are noted while FFmpeg walks through the file once, and fetched afterwards from where they
-lie. A file that breaks off gives its whole pictures.
+FFmpeg reads the file once to list the pictures, which are fetched later from their positions. From
+a truncated file, all complete pictures are used.
 """
 
 from collections.abc import Iterator
@@ -20,18 +20,18 @@ from clothtrack_capture.importing.containers import BagFile
 
 MAGIC = b"\x1a\x45\xdf\xa3"
 _BLOCK_HEAD = 4
-"""Bytes of a block before its picture: track number, time and flags."""
+"""Number of bytes of a block before its picture: track number, time and flags."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """A track of pictures.
+    """A video track.
 
     Attributes:
-        number: by which blocks name it.
-        name: such as "DEPTH".
-        letters: the kind of pictures: "MJPG", "NV12", ...
-        tags: value per name of a tag of this track.
+        number: track number used in blocks.
+        name: track name, such as "DEPTH".
+        letters: FourCC of the pictures: "MJPG", "NV12", ...
+        tags: value per tag name of this track.
         width: picture width [pixels].
         height: picture height [pixels].
     """
@@ -46,7 +46,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One picture: number of its track, time [ns], and where its bytes lie."""
+    """One picture: its track number, time [ns] and position in the file."""
 
     track: int
     time_ns: int
@@ -55,22 +55,22 @@ class Block:
 
 
 class Matroska:
-    """A file that FFmpeg has walked through once; close it after use.
+    """A Matroska file indexed by FFmpeg; close it after use.
 
     Attributes:
-        tracks: every track of pictures.
-        tags: value per tag name, those of tracks and attachments included.
+        tracks: all video tracks.
+        tags: value per tag name, including tags of tracks and attachments.
         attachments: content per file name.
-        blocks: every whole picture, in the order of the file.
-        damage: what is broken, in words; empty for a whole file.
+        blocks: all complete pictures, in file order.
+        damage: description of damage; empty for an intact file.
     """
 
     def __init__(self, path: Path) -> None:
-        """Walk through a file.
+        """Index a file.
 
         Raises:
-            InvalidRecordingError: FFmpeg finds no Matroska in it, or its pictures are compressed
-                once more by the container.
+            InvalidRecordingError: FFmpeg does not read it as Matroska, or the container compresses
+                its pictures again.
         """
         self.tracks: list[Track] = []
         self.tags: dict[str, str] = {}
@@ -95,12 +95,12 @@ class Matroska:
         """Return the bytes of a block.
 
         Raises:
-            TruncatedError: they are not there.
+            TruncatedError: the bytes are missing.
         """
         return self._file.read(block.offset, block.size)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def _learn(self, container: InputContainer) -> None:
@@ -144,7 +144,7 @@ class Matroska:
 
 @contextmanager
 def _logged_errors() -> Iterator[list[str]]:
-    """Yield what FFmpeg notes as errors inside the block.
+    """Yield a list of FFmpeg's error messages inside the block.
 
     The list is filled when the block ends.
     """

@@ -1,4 +1,4 @@
-"""MCAP files (mcap.dev/spec), walked from the start; the summary at the end is not needed."""
+"""MCAP files (mcap.dev/spec), read from the start; the summary at the end is not needed."""
 
 import struct
 import zlib
@@ -45,10 +45,10 @@ class McapContainer(ChunkedContainer):
         self._ended = False
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message, in the order of the file.
+        """Yield every message in file order.
 
         Raises:
-            TruncatedError: the file breaks off or is damaged.
+            TruncatedError: the file is truncated or damaged.
         """
         yield from super().messages()
         if not self._ended:
@@ -96,7 +96,7 @@ class McapContainer(ChunkedContainer):
         return chunk
 
     def _chunk_head(self, record: Record) -> tuple[str, int, int, int, int]:
-        """Return compression, unpacked size and CRC; where the packed bytes start, and how many."""
+        """Return compression, unpacked size, CRC, and start and number of the packed bytes."""
         start = record.start
         _, _, inside, crc, letters = _CHUNK_HEAD.unpack(self._file.read(start, _CHUNK_HEAD.size))
         after = start + _CHUNK_HEAD.size

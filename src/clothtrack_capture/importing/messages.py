@@ -1,7 +1,7 @@
-"""What ROS messages say: read with the standard definitions, never with those a file brings along.
+"""Decoding of ROS messages with the standard definitions, never with those in a file.
 
-A definition in a file would become code; the standard ones have not changed their layout between
-the distributions of ROS 2, and ROS 1 has its own.
+A definition in a file would be turned into code. The layout of the standard definitions is the same
+in all distributions of ROS 2; ROS 1 has its own.
 """
 
 import re
@@ -45,10 +45,10 @@ def message_store(*, cdr: bool) -> Typestore:
 
 
 def payload(container: Container, place: Place) -> bytes:
-    """Return the bytes of a message, decompressed where each message was compressed on its own.
+    """Return the bytes of a message, decompressed if messages are compressed individually.
 
     Raises:
-        TruncatedError: they are not there.
+        TruncatedError: the bytes are missing.
     """
     data = container.fetch(place)
     return unpack(data, "zstd") if data.startswith(ZSTD_MAGIC) else data
@@ -58,7 +58,7 @@ def decode(topic: Topic, data: bytes) -> Any:
     """Return a message as an object with the fields of its definition.
 
     Raises:
-        TruncatedError: the bytes are not such a message.
+        TruncatedError: the bytes are not a message of this type.
     """
     kind = _TF if topic.kind == "tf/msg/tfMessage" else topic.kind
     store = message_store(cdr=topic.cdr)
@@ -77,10 +77,10 @@ def decode(topic: Topic, data: bytes) -> Any:
 def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
     """Return the time in the header of a stamped message [ns].
 
-    The time of writing where it has none.
+    If it has none, return the write time.
 
     Raises:
-        TruncatedError: the message is not there.
+        TruncatedError: the message is missing.
     """
     if not _STAMPED.match(topic.kind):
         return log_ns
@@ -91,10 +91,10 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
 
 
 def header_stamp_ns(topic: Topic, data: bytes) -> int:
-    """Return the time in the header that a message begins with [ns]; 0 where it tells none.
+    """Return the time in the header at the start of a message [ns]; 0 if there is none.
 
     Raises:
-        TruncatedError: the message ends before it.
+        TruncatedError: the message ends within the header.
     """
     if len(data) < _STAMP_BYTES:
         raise TruncatedError(f"{topic.name}: a message without a header")
@@ -104,10 +104,10 @@ def header_stamp_ns(topic: Topic, data: bytes) -> int:
 
 
 def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, float]]:
-    """Return the frame ("" when it has none) and the position [m] that a pose message tells.
+    """Return the frame ("" if it has none) and the position [m] of a pose message.
 
     Raises:
-        TruncatedError: it tells no position.
+        TruncatedError: the message has no position.
     """
     inner = message
     for name in ("pose", "pose", "transform", "point", "position", "translation"):
@@ -120,7 +120,7 @@ def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, fl
 
 
 def grip_of(message: Any) -> bool | float | None:
-    """Return whether a gripper is closed (Bool), how far it is open, or None where neither is told.
+    """Return whether a gripper is closed (Bool), or its opening, or None if neither is given.
 
     The opening of a JointState is the sum of its joints.
     """
@@ -136,15 +136,16 @@ def grip_of(message: Any) -> bool | float | None:
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
-    """Return the intrinsics that a CameraInfo describes.
+    """Return the intrinsics in a CameraInfo.
 
     Args:
-        topic: where it came from, for the error.
-        info: the message.
-        rectified: the pictures are rectified, so its projection matrix counts, not its distortion.
+        topic: name of its topic, for the error message.
+        info: message.
+        rectified: whether the pictures are rectified, so that its projection matrix is used and not
+            its distortion.
 
     Raises:
-        InvalidRecordingError: the model is unknown or a number impossible.
+        InvalidRecordingError: the model is unknown or a number is impossible.
     """
     coefficients, matrix, projection = (
         np.asarray(getattr(info, name, getattr(info, name.upper(), ())), dtype=np.float64).ravel()
@@ -183,7 +184,7 @@ def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:
     """Return the transform of a geometry_msgs Transform or Pose.
 
     Raises:
-        TruncatedError: it is not finite, or its quaternion has no length.
+        TruncatedError: it is not finite, or its quaternion is zero.
     """
     q = transform.rotation if hasattr(transform, "rotation") else transform.orientation
     t = transform.translation if hasattr(transform, "translation") else transform.position

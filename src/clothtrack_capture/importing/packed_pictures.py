@@ -1,4 +1,4 @@
-"""Pictures that a source holds as files: decoded, or taken over as they are."""
+"""Pictures stored as files in a source, which are decoded or copied unchanged."""
 
 import zlib
 from collections.abc import Callable
@@ -16,20 +16,20 @@ from clothtrack_capture.importing.images import compressed_color, encoded_size, 
 _DEPTH, _COLOR = b"\x10\x00\x00\x00\x00", b"\x08\x02\x00\x00\x00"
 _SAMPLE_BYTES = {_DEPTH: 2, _COLOR: 3}
 _PIXELS = (b"IHDR", b"IDAT", b"IEND")
-# Say nothing about the pixels; every other chunk (palette, transparency, gamma, orientation, a
-# second picture) may, so the picture is decoded then.
+# These chunks do not affect the pixels. Any other chunk (palette, transparency, gamma, orientation,
+# a second picture) may, so the picture is decoded then.
 _REMARKS = (b"tEXt", b"zTXt", b"iTXt", b"tIME", b"pHYs")
 _MOST_FILTER = 4
 
 
 @dataclass(frozen=True, eq=False)
 class PackedPicture:
-    """A PNG or JPEG of depth or color that is not decoded yet.
+    """An encoded PNG or JPEG of depth or color.
 
     Attributes:
-        data: the file.
-        form: bits, color type and the rest of the header of a PNG that may be taken over.
-        unpack: decodes it: counts of depth, or red, green and blue.
+        data: bytes of the file.
+        form: bit depth, color type and the rest of the header of a PNG that may be copied.
+        unpack: function that decodes it to depth counts, or to red, green and blue.
     """
 
     data: bytes
@@ -38,10 +38,11 @@ class PackedPicture:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """Width and height [pixels]; the whole file is checked for breaks once.
+        """Width and height [pixels]; the file is checked for damage once.
 
         Raises:
-            TruncatedError: the file breaks off, a byte was changed, or it announces too much.
+            TruncatedError: the file is truncated, a byte was changed, or the announced size is too
+                large.
         """
         return encoded_size(self.data)
 
@@ -49,18 +50,18 @@ class PackedPicture:
         """Return the pixels.
 
         Raises:
-            TruncatedError: the file breaks off, is too large or something else.
+            TruncatedError: the file is truncated, too large or of another kind.
         """
         return self.unpack(self.data)
 
     def plain_png(self) -> bytes | None:
-        """Return the file without remarks, if a recording may hold it as it is; None: decode it.
+        """Return the PNG without remarks if it can be copied, or None if it must be decoded.
 
-        Checked as far as decoding would: every chunk's checksum, that the pixels are all there
-        (and their checksum right), and that each row names a filter that exists.
+        The checks are the same as in decoding: every chunk's checksum, the number of pixels and
+        their checksum, and a valid filter in each row.
 
         Raises:
-            TruncatedError: it is such a file, but damaged.
+            TruncatedError: the file could be copied but is damaged.
         """
         if not self.data.startswith(SIGNATURE) or self.data[24:29] != self.form:
             return None
@@ -88,10 +89,10 @@ class PackedPicture:
 
 
 def packed_depth(data: bytes) -> PackedPicture:
-    """Return depth as a 16-bit gray PNG."""
+    """Return a packed depth picture, a 16-bit gray PNG."""
     return PackedPicture(data, _DEPTH, png_depth)
 
 
 def packed_color(data: bytes) -> PackedPicture:
-    """Return color as a PNG or JPEG."""
+    """Return a packed color picture, a PNG or JPEG."""
     return PackedPicture(data, _COLOR, compressed_color)

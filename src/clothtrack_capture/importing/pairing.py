@@ -1,4 +1,4 @@
-"""Which color picture belongs to which depth picture: the nearest in time, each once."""
+"""Pairing of color and depth pictures that are nearest in time, each used at most once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _LONE_TOLERANCE_NS = 20e6
 
 @dataclass(frozen=True)
 class Pair:
-    """A moment: its depth picture and, unless there is no color at all, its color picture."""
+    """A depth picture and its color picture, or None if there is no color stream."""
 
     depth: StreamFrame
     color: StreamFrame | None
@@ -22,16 +22,16 @@ class Pair:
 
 @dataclass(frozen=True)
 class Pairing:
-    """The moments of a recording.
+    """The paired pictures of a recording.
 
     Attributes:
-        pairs: in order of time, times strictly increasing.
-        tolerance_s: how far apart two pictures of a moment may be [s].
-        depth_alone: depth pictures without a color picture near enough.
-        color_alone: color pictures without a depth picture.
-        doubles: depth pictures with the time of another.
-        worst_s: the largest difference between two pictures of a moment [s].
-        advice: the tolerance that would take more pictures in, and how many; "" when none would.
+        pairs: pairs in order of time, with strictly increasing times.
+        tolerance_s: largest allowed time difference between the two pictures of a pair [s].
+        depth_alone: number of depth pictures without a color picture near enough.
+        color_alone: number of color pictures without a depth picture.
+        doubles: number of depth pictures with the same time as another.
+        worst_s: largest time difference within a pair [s].
+        advice: tolerance that would include more pictures, and how many; "" if none would.
     """
 
     pairs: tuple[Pair, ...]
@@ -51,13 +51,14 @@ def pair(
 ) -> Pairing:
     """Pair depth and color by time stamp.
 
-    A pair is one of pictures that are each other's nearest and no farther apart than the tolerance.
+    Two pictures form a pair if each is the other's nearest and their times differ by no more than
+    the tolerance.
 
     Args:
-        path: the source, for errors.
+        path: path of the source, for error messages.
         depth: depth pictures in any order.
-        color: color pictures in any order, or None when there is no color stream.
-        tolerance_s: largest difference [s]; half the time between depth pictures by default.
+        color: color pictures in any order, or None if there is no color stream.
+        tolerance_s: largest time difference [s]; half the time between depth pictures by default.
 
     Raises:
         InvalidRecordingError: there is no depth picture or no pair at all.
@@ -104,9 +105,10 @@ def pair(
 
 
 def _advice(apart: np.ndarray) -> str:
-    """The flag that takes in half of the pairs that are too far apart [ns], and what it costs.
+    """Return the flag that includes half of the pairs that are too far apart [ns], and its cost.
 
-    Half: a constant offset between two clocks is met, a gap in one of the films is not.
+    Half of them is enough for a constant offset between two clocks, but not for a gap in one
+    stream.
     """
     if not len(apart):
         return ""

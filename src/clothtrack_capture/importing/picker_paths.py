@@ -1,4 +1,4 @@
-"""The pickers of an import: their paths on the recording's clock, and their actions."""
+"""Picker paths of an import, on the recording's clock, and their actions."""
 
 import csv
 import io
@@ -35,19 +35,20 @@ def placed_paths(
     start_ns: int,
     posed: bool,
 ) -> tuple[dict[str, PickerPath], list[str]]:
-    """Return the paths in the world and on the recording's clock, and what to know about them.
+    """Return the paths in the world and on the recording's clock, and remarks about them.
 
     Args:
-        source: the source, for errors.
-        streams: what the source holds, its paths among it.
-        table: CSV file with a path, in the world.
-        clock: "recording" or "source", the clock of that file.
-        pose: world_from_camera.
+        source: path of the source, for error messages.
+        streams: content of the source, including its paths.
+        table: CSV file with a path in the world.
+        clock: clock of that file, "recording" or "source".
+        pose: transform world_from_camera.
         start_ns: time of the first frame on the source's clock [ns].
-        posed: whether that pose is known, or the camera's frame stands in for the world.
+        posed: whether that pose is known; otherwise the camera's frame is used as the world.
 
     Raises:
-        InvalidConfigError: nothing ties a path to the world, or it and the frames do not meet.
+        InvalidConfigError: a path has no transform to the world, or no time in common with the
+            frames.
     """
     span = [0.0, (max(frame.time_ns for frame in streams.depth) - start_ns) / 1e9]
     if table is not None:
@@ -86,7 +87,7 @@ def add_pickers(
     frame_times: Sequence[float],
     words: Sequence[str],
 ) -> tuple[list[PickAndPlace], list[str]]:
-    """Write the paths and the actions that they or a person tell.
+    """Write the paths, and the actions given by them or by the user.
 
     Raises:
         InvalidConfigError: an action is impossible.
@@ -106,13 +107,14 @@ def add_pickers(
 
 
 def read_path_table(path: Path) -> dict[str, PickerPath]:
-    """Return the path per picker of a CSV file; times as the file has them.
+    """Return the path per picker from a CSV file, with the file's times.
 
-    The columns are those of `picker.csv`, or `time, x, y, z` and perhaps `closed`, in any order,
-    seconds and meters.
+    The columns are those of `picker.csv`, or `time, x, y, z` and optionally `closed`, in any order,
+    in seconds and meters.
 
     Raises:
-        InvalidRecordingError: the file cannot be read, a column is missing or a field no number.
+        InvalidRecordingError: the file cannot be read, a column is missing or a field is not a
+            number.
     """
     try:
         if path.stat().st_size > _LARGEST_FILE:
@@ -178,10 +180,10 @@ def _on_recording_clock(
     """Return the paths on the clock of the frames.
 
     Args:
-        paths: times on another clock.
-        start_s: that clock at the first frame [s].
+        paths: paths with times on another clock.
+        start_s: time of the first frame on that clock [s].
         frame_times: times of the frames [s].
-        remedy: what to do when they do not meet, for the error.
+        remedy: advice for the error message if they have no time in common.
 
     Raises:
         InvalidConfigError: a path and the frames have no time in common.
@@ -203,10 +205,10 @@ def _on_recording_clock(
 def actions_in_words(
     words: Sequence[str], frames: int, pickers: Sequence[str]
 ) -> list[PickAndPlace]:
-    """Return actions that a person names: "10-50", first and last frame.
+    """Return the actions given as first and last frame, such as "10-50".
 
     Raises:
-        InvalidConfigError: a word is no such thing, or there is no picker.
+        InvalidConfigError: a word does not have this form, or there is no picker.
     """
     actions: list[PickAndPlace] = []
     for word in words:

@@ -1,4 +1,4 @@
-"""Folders of pictures as a source: as TUM, Open3D and BOP lay them out."""
+"""Folders of pictures as a source, in the layouts of TUM, Open3D and BOP."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -33,12 +33,12 @@ _MOST_FILES = 1_000_000
 
 
 def is_picture_folder(path: Path) -> bool:
-    """Return whether a folder holds a folder of depth pictures."""
+    """Return whether a folder contains a folder of depth pictures."""
     return any((path / name).is_dir() for name in _DEPTH_FOLDERS)
 
 
 class FolderSource:
-    """A folder with depth pictures, perhaps color pictures, and what says how to read them."""
+    """A folder with depth pictures, optional color pictures, and the data needed to read them."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         """List the pictures and read intrinsics, unit and times.
@@ -64,15 +64,15 @@ class FolderSource:
         self.streams = Streams(kind, calibration, depth, color, origins, notes)
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives the counts of a depth picture."""
+        """Return a function that decodes the counts of a depth picture."""
         return partial(packed_depth, self._bytes(frame))
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives red, green and blue."""
+        """Return a function that decodes red, green and blue."""
         return partial(packed_color, self._bytes(frame))
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Do nothing; no file is kept open."""
 
     def _bytes(self, frame: StreamFrame) -> bytes:
         path: Path = frame.place
@@ -92,7 +92,7 @@ class FolderSource:
         return depth, color, notes
 
     def _listed(self, path: Path, notes: list[str]) -> list[StreamFrame]:
-        """Return the lines `seconds file` of a list; `#` starts a remark."""
+        """Return the frames from a list with lines `seconds file`; `#` starts a remark."""
         frames, skipped = [], 0
         root = self._path.resolve()
         try:
@@ -121,7 +121,7 @@ class FolderSource:
         fps = options.fps or self._fps()
         if fps is None:
             raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
-        # The same name is the same moment; a picture that is missing leaves its moment empty.
+        # Pictures of the same name belong to the same moment, even if one of them is missing.
         stems = sorted(
             {file.stem for file in (*depth_files, *(color_files or ()))}, key=natural_order
         )
@@ -159,7 +159,7 @@ class FolderSource:
         return given.calibration(unit, origin, with_color=with_color)
 
     def _missing(self, options: ImportOptions) -> str:
-        """What a folder does not say, all of it, and how to say it."""
+        """Return everything that a folder does not specify, and how to specify it."""
         file = options.intrinsics or self._intrinsics_file()
         given = None if file is None else read_intrinsics(file)
         is_bop = given is None and (self._path / _BOP).is_file()
@@ -221,7 +221,7 @@ def _bop_entry(path: Path, entry: Any) -> tuple[float, float, float, float, floa
 
 
 def _pictures(path: Path, folders: Sequence[str]) -> Any:
-    """Return the pictures of the first folder that exists, in natural order; None without one."""
+    """Return the pictures of the first existing folder, in natural order; None if there is none."""
     for name in folders:
         if (path / name).is_dir():
             files = [
@@ -240,7 +240,7 @@ def _lies_in(folder: Path, file: Path) -> bool:
 
 
 def _nanoseconds(word: str) -> int | None:
-    """Return seconds with their decimals, to the last digit."""
+    """Return a decimal number of seconds as exact nanoseconds."""
     match = re.fullmatch(r"(\d{1,10})(?:\.(\d{0,12}))?", word)
     if match is None:
         return None

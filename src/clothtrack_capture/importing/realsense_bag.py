@@ -1,8 +1,8 @@
-"""What the RealSense SDK writes around its pictures: units and poses, in old and new files.
+"""Units and poses that the RealSense SDK writes with its pictures, in old and new files.
 
-Old recordings (`.bag`) have typed messages; new ones (`.db3`) have strings `key=value;...`. Both
-name a stream's topics `/device_0/sensor_0/Depth_0/...`. `/tf_static` of the new ones is in another
-convention (x forward) and is not used.
+Old recordings (`.bag`) have typed messages, and new ones (`.db3`) have strings `key=value;...`.
+Both name a stream's topics `/device_0/sensor_0/Depth_0/...`. `/tf_static` of the new ones uses
+another convention (x forward) and is ignored.
 """
 
 import re
@@ -32,7 +32,7 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
 
     Args:
         heard: first message per topic that matches `WANTED`.
-        depth: the picture topic.
+        depth: topic of the depth pictures.
     """
     match = _STREAM.match(base_name(depth.name))
     if match is None:
@@ -41,7 +41,7 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
         message = heard.get(f"{match[1]}/option/{spelling}/value")
         if message is not None:
             try:
-                # The SDK holds it as a 32-bit float: 0.001 comes as 0.0010000000474974513.
+                # The SDK stores a 32-bit float, so 0.001 is read as 0.0010000000474974513.
                 return float(f"{float(message.data):.6g}")
             except ValueError:
                 return None
@@ -51,10 +51,10 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
 def color_from_depth(
     heard: Mapping[str, Any], depth: Topic, color: Topic
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Return a rigid transform, depth camera to color camera [m]; None when the file does not say.
+    """Return the rigid transform from depth to color camera [m]; None if the file has none.
 
     Raises:
-        TruncatedError: what it says is no transform.
+        TruncatedError: the stored values are not a transform.
     """
     poses = []
     for topic in (depth, color):
@@ -72,7 +72,7 @@ def color_from_depth(
 
 
 def _pose(message: Any) -> Float[np.ndarray, "4 4"]:
-    """Takes points of the reference stream to this stream."""
+    """Return the transform from the reference stream to this stream."""
     if hasattr(message, "rotation"):
         return rigid_of(message)
     fields = dict(part.split("=", 1) for part in str(message.data).split(";") if "=" in part)
@@ -80,7 +80,7 @@ def _pose(message: Any) -> Float[np.ndarray, "4 4"]:
         rotation = np.array(fields["rotation"].split(","), dtype=np.float64)
         translation = np.array(fields["translation"].split(","), dtype=np.float64)
         result = np.eye(4)
-        result[:3, :3] = rotation.reshape(3, 3).T  # the SDK writes columns
+        result[:3, :3] = rotation.reshape(3, 3).T  # the SDK writes column by column
         result[:3, 3] = translation
     except (KeyError, ValueError) as error:
         raise TruncatedError("a stream's pose that is none") from error

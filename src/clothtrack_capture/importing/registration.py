@@ -1,4 +1,4 @@
-"""Depth as the color camera would have measured it: the same pixel shows the same point."""
+"""Registration of depth to the color camera, so that the same pixel shows the same point."""
 
 import threading
 
@@ -13,17 +13,18 @@ from clothtrack_capture.importing.source import StereoCalibration
 
 
 class Registration:
-    """Takes distortion out of both pictures and carries depth to the color camera.
+    """A registration that undistorts both pictures and maps depth to the color camera.
 
-    Each depth pixel is painted as the rectangle that it covers there, so that a finer color
-    picture has no cracks; where several fall on one pixel, the nearest stays. A pixel between the
-    rectangles takes one that ends within half a pixel of it: slanted surfaces stay whole, and no
-    edge grows over what was measured behind it. What is farther from any depth pixel stays 0.
-    Pictures that are registered already pass through, bit by bit.
+    Each depth pixel is drawn as the rectangle that it covers in the color picture, so that a finer
+    color picture has no cracks. If several fall on one pixel, the nearest is kept. A pixel between
+    rectangles takes the depth of one that ends within half a pixel of it. This keeps slanted
+    surfaces closed, and edges do not grow over the surface measured behind them. Pixels farther
+    from any depth pixel stay 0. Pictures that are already registered are passed through unchanged,
+    bit by bit.
     """
 
     def __init__(self, calibration: StereoCalibration) -> None:
-        """Prepare the rays of every pixel once."""
+        """Precompute the rays of every pixel."""
         self._calibration = calibration
         self.intrinsics: Intrinsics = (calibration.color or calibration.depth).rectified()
         self.carried = not calibration.registered
@@ -31,7 +32,7 @@ class Registration:
         if self.carried:
             rays = calibration.depth.corner_rays()
             ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
-            # The intrinsics are in there already: pixels times depth, and depth, in units.
+            # The projections include the intrinsics: pixels times depth, and depth, in units.
             project = self.intrinsics.matrix @ calibration.color_from_depth[:3]
             shift = project[:, 3] / calibration.depth_unit_m
             self._shift = wp.vec3(*shift.tolist())
@@ -44,35 +45,36 @@ class Registration:
             self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
 
     def keeps_depth(self, size: tuple[int, int]) -> bool:
-        """Return whether depth pictures of this width and height pass through.
+        """Return whether depth pictures of this width and height are passed through.
 
         Raises:
-            TruncatedError: they have another size than their intrinsics.
+            TruncatedError: their size differs from that of their intrinsics.
         """
         _check_size(size, self._calibration.depth)
         return not self.carried and self._calibration.depth.straight
 
     def keeps_color(self, size: tuple[int, int]) -> bool:
-        """Return whether color pictures of this width and height pass through.
+        """Return whether color pictures of this width and height are passed through.
 
         Raises:
-            TruncatedError: they have another size than their intrinsics.
+            TruncatedError: their size differs from that of their intrinsics.
         """
         intrinsics = self._calibration.color or self._calibration.depth
         _check_size(size, intrinsics)
         return intrinsics.straight
 
     def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
-        """Return the depth picture of the recording's camera, in the same units.
+        """Return the depth picture for the recording's camera, in the same units.
 
         Raises:
-            TruncatedError: the picture has another size than its intrinsics.
+            TruncatedError: the picture's size differs from that of its intrinsics.
         """
         intrinsics = self._calibration.depth
         _check_size(counts.shape[1::-1], intrinsics)
         if not self.carried:
             return intrinsics.straighten(counts, nearest=True)
-        # One launch at a time: the buffers are shared, and Warp does not like several threads.
+        # Run one launch at a time, because the buffers are shared and Warp handles several threads
+        # badly.
         with self._lock:
             self._painted.fill(FARTHEST)
             wp.launch(
@@ -88,14 +90,14 @@ class Registration:
                 ],
                 device="cpu",
             )
-            # The low 16 bits: what was not painted has none.
+            # Keep the low 16 bits, which are 0 where nothing was painted.
             return self._painted.astype(np.uint16)
 
     def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
         """Return the color picture without distortion.
 
         Raises:
-            TruncatedError: the picture has another size than its intrinsics.
+            TruncatedError: the picture's size differs from that of its intrinsics.
         """
         intrinsics = self._calibration.color or self._calibration.depth
         _check_size(picture.shape[1::-1], intrinsics)

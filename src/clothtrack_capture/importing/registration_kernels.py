@@ -1,12 +1,12 @@
-"""The kernel that carries depth from one camera to another."""
+"""The kernel that maps depth from one camera to another."""
 
 from typing import no_type_check
 
 import warp as wp
 
-# Beyond every painted value; its low 16 bits are 0, which is "no depth".
+# Greater than every painted value; its low 16 bits are 0, which means "no depth".
 FARTHEST = 0x7FFF0000
-# Added to what only reaches a pixel: every rectangle that covers the pixel comes before it.
+# Added where a rectangle only reaches a pixel, so that every rectangle that covers it wins.
 _BEHIND = wp.constant(0x10000)
 _WIDEST = 32
 # Less than half a pixel, so that pictures whose pixels coincide gain nothing.
@@ -24,14 +24,14 @@ def _splat_pixel(
     height: int,
     painted: wp.array(dtype=wp.int32),
 ):
-    """Paint one pixel as the rectangle between two opposite corners, carried over at its depth.
+    """Paint one pixel as the rectangle between two opposite corners, projected at its depth.
 
-    Every pixel center in the rectangle gets the depth, the nearest wins. Neighbors on a slanted
-    surface drift apart by a fraction of a pixel: so the rectangle reaches almost half a pixel
-    farther on every side, but stands there behind every rectangle that covers the pixel itself.
+    Every pixel center in the rectangle gets the depth, and the nearest depth wins. Neighbors on a
+    slanted surface move apart by a fraction of a pixel. So the rectangle is extended by almost half
+    a pixel on every side, where it ranks behind every rectangle that covers the pixel itself.
     """
     one, other = count * low + shift, count * high + shift
-    # What is not a number is not greater either.
+    # This form of the comparison also rejects NaN.
     if not (one[2] > 0.0 and other[2] > 0.0):
         return
     value = int(0.5 * (one[2] + other[2]) + 0.5)
@@ -42,10 +42,10 @@ def _splat_pixel(
     left, right, top, bottom = wp.min(u, s), wp.max(u, s), wp.min(v, t), wp.max(v, t)
     if not (right > -1.0 and left < float(width) and bottom > -1.0 and top < float(height)):
         return
-    # Beyond the picture there is nothing to paint, and no whole number large enough.
+    # Clip to the picture, because larger coordinates may overflow an integer.
     left, right = wp.max(left, -1.0), wp.min(right, float(width))
     top, bottom = wp.max(top, -1.0), wp.min(bottom, float(height))
-    # In whole pixels from here on: the rectangle, and what it reaches.
+    # From here on the rectangle and its extension are in whole pixels.
     first, last = int(wp.ceil(left)), int(wp.ceil(right))
     upper, lower = int(wp.ceil(top)), int(wp.ceil(bottom))
     start = wp.max(int(wp.ceil(left - _REACH)), 0)
@@ -77,15 +77,15 @@ def splat(
     height: int,
     painted: wp.array(dtype=wp.int32),
 ):
-    """Paint every measured pixel of a row; the low 16 bits of what is painted are the depth.
+    """Paint every measured pixel of a row; the low 16 bits of painted values are the depth.
 
     Args:
         counts: depth [units].
-        corners: rays through the corners of the pixels, times rotation and the other intrinsics.
+        corners: rays through the pixel corners, times rotation and the other camera's intrinsics.
         shift: translation to the other camera, times its intrinsics [units].
-        width: of the other picture [pixels].
-        height: of the other picture [pixels].
-        painted: its pixels, FARTHEST at first.
+        width: width of the other picture [pixels].
+        height: height of the other picture [pixels].
+        painted: pixels of the other picture, initially FARTHEST.
     """
     row = wp.tid()
     for column in range(counts.shape[1]):

@@ -1,4 +1,4 @@
-"""ROS 1, ROS 2 and RealSense bags as a source: topics, intrinsics, unit of depth."""
+"""ROS 1, ROS 2 and RealSense bags as a source: topics, intrinsics and depth unit."""
 
 import re
 from collections.abc import Callable
@@ -36,12 +36,12 @@ from clothtrack_capture.importing.topics import (
 )
 
 _PART = re.compile(r"\.(db3|mcap|bag)$")
-# Depth in floats is stored in tenths of a millimeter: finer than any sensor, up to 6.5 m.
+# Float depth is stored in tenths of a millimeter, finer than any sensor and up to 6.5 m.
 _FLOAT_UNIT_M = 1e-4
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Return the files of a bag: itself, or those in its folder in natural order."""
+    """Return the files of a bag: the file itself, or the files of a folder in natural order."""
     if not path.is_dir():
         return [path]
     files = [file for file in path.iterdir() if _PART.search(file.name) and file.is_file()]
@@ -52,11 +52,12 @@ class BagSource:
     """A bag in one or several files."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
-        """Walk through the bag, choose topics and read what is known of the cameras.
+        """Read the bag, choose topics and collect the cameras' calibration.
 
         Raises:
-            InvalidRecordingError: it cannot be read, or topic, intrinsics, pose or unit is missing.
-            InvalidConfigError: what is asked for contradicts the bag.
+            InvalidRecordingError: it cannot be read, or a topic, intrinsics, pose or unit is
+                missing.
+            InvalidConfigError: an option contradicts the bag.
         """
         self._path = path
         self._parts, words = open_parts(bag_files(path))
@@ -80,18 +81,18 @@ class BagSource:
             raise
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives the counts of a depth picture."""
+        """Return a function that decodes the counts of a depth picture."""
         data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_depth, self._depth_topic, data, self._calibration.depth_unit_m)
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives red, green and blue."""
+        """Return a function that decodes red, green and blue."""
         assert self._color_topic is not None
         data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_color, self._color_topic, data)
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         for part in self._parts:
             part.close()
 
@@ -105,7 +106,7 @@ class BagSource:
         return self._parts[frames[0].place.part], frames[0]
 
     def _first_encoding(self) -> str:
-        """Return how depth is encoded, from the first picture that can be read."""
+        """Return the encoding of depth, from the first readable picture."""
         self._first(self._depth_topic)
         for frame in self._walk.frames[self._depth_topic.name]:
             try:

@@ -1,4 +1,4 @@
-"""What every source of recordings offers, whatever its format."""
+"""The interface of all sources of recordings."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +12,7 @@ from clothtrack.recordings.recording import PickerPath
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.packed_pictures import PackedPicture
 
-# Pixels, or the file that holds them.
+# Pixels, or an encoded file of them.
 Content = np.ndarray | PackedPicture
 
 
@@ -24,7 +24,7 @@ def natural_order(name: str) -> list[tuple[int, str]]:
 
 @dataclass(frozen=True, slots=True)
 class StreamFrame:
-    """One picture: when it was taken on the source's clock [ns], and where the source has it."""
+    """One picture: its time on the source's clock [ns] and its position in the source."""
 
     time_ns: int
     place: Any
@@ -32,14 +32,14 @@ class StreamFrame:
 
 @dataclass(frozen=True, eq=False)
 class StereoCalibration:
-    """The intrinsics of a depth camera's two sensors and how the sensors stand to each other.
+    """The intrinsics and relative pose of a depth camera's two sensors.
 
     Attributes:
         depth: intrinsics of the depth pictures.
-        color: intrinsics of the color pictures, or None without color.
+        color: intrinsics of the color pictures; None without color.
         color_from_depth: rigid transform, depth camera to color camera [m].
         depth_unit_m: meters per unit of the depth pictures.
-        unit_origin: where the unit comes from, in words.
+        unit_origin: origin of the unit, in words.
     """
 
     depth: Intrinsics
@@ -50,7 +50,7 @@ class StereoCalibration:
 
     @property
     def registered(self) -> bool:
-        """Whether the same pixel of both pictures shows the same point already."""
+        """Whether the same pixel of both pictures already shows the same point."""
         if self.color is None:
             return True
         standing = np.abs(self.color_from_depth - np.eye(4)).max() < 1e-6
@@ -59,19 +59,19 @@ class StereoCalibration:
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """What a source holds.
+    """The content of a source.
 
     Attributes:
-        kind: the format in words ("ROS 1 bag").
-        calibration: intrinsics and unit of depth.
-        depth: every whole depth picture.
-        color: every whole color picture; None without a color stream.
-        origins: which topic, track or folder each thing came from.
-        notes: what was lost or left out, in words.
-        paths: where pickers were, in `path_frame`; times [s] count from `path_start_ns`.
-        path_frame: name of the frame of `paths`, in words.
-        path_start_ns: zero of their times on the clock of the pictures [ns].
-        world_from_camera: pose of the camera that the recording will have, when the source knows.
+        kind: name of the format ("ROS 1 bag").
+        calibration: intrinsics and depth unit.
+        depth: all complete depth pictures.
+        color: all complete color pictures; None without a color stream.
+        origins: topic, track or folder that each item came from.
+        notes: description of what was lost or left out.
+        paths: picker paths in `path_frame`; times [s] count from `path_start_ns`.
+        path_frame: description of the frame of `paths`.
+        path_start_ns: zero of their times, on the clock of the pictures [ns].
+        world_from_camera: pose of the recording's camera, if the source knows it.
     """
 
     kind: str
@@ -88,31 +88,31 @@ class Streams:
 
 @runtime_checkable
 class Source(Protocol):
-    """An opened source. `depth` and `color` take bytes now; what they return does the work."""
+    """An opened source; `depth` and `color` read bytes and return functions that decode them."""
 
     @property
     def streams(self) -> Streams:
-        """What the source holds."""
+        """Content of the source."""
         ...
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives the counts of a depth picture.
+        """Return a function that decodes the counts of a depth picture.
 
-        May be called in another thread.
+        It may be called in another thread.
 
         Raises:
-            TruncatedError: the bytes are not there (or, by the function, no picture).
+            TruncatedError: the bytes are missing (or, from the function, are not a picture).
         """
         ...
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that gives red, green and blue; may be called in another thread.
+        """Return a function that decodes red, green and blue; it may be called in another thread.
 
         Raises:
-            TruncatedError: the bytes are not there (or, by the function, no picture).
+            TruncatedError: the bytes are missing (or, from the function, are not a picture).
         """
         ...
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         ...

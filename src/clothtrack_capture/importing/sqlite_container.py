@@ -1,4 +1,4 @@
-"""SQLite bags of ROS 2 and of the RealSense SDK: read only, nothing written beside them."""
+"""SQLite bags of ROS 2 and the RealSense SDK, opened read-only without temporary files."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.containers import MOST_BYTES, MOST_TOPICS, Message, Place, Topic
 
 MAGIC = b"SQLite format 3\x00"
-# Steps of SQLite's machine for one row; a damaged tree that runs in circles needs more.
+# Largest number of SQLite VM steps for one row [millions]; a damaged tree with a cycle needs more.
 _MOST_STEPS_M = 50
 
 
@@ -18,11 +18,11 @@ class SqliteContainer:
     """A `.db3` file."""
 
     def __init__(self, path: Path) -> None:
-        """Open the data base without locking or changing anything.
+        """Open the database without locking or changing anything.
 
         Raises:
-            InvalidRecordingError: it has no tables of a bag, or its last messages are in a
-                write-ahead log beside it.
+            InvalidRecordingError: it lacks the tables of a bag, or its last messages are in a
+                separate write-ahead log.
         """
         self.path, self._steps = path, 0
         log = path.with_name(path.name + "-wal")
@@ -60,10 +60,10 @@ class SqliteContainer:
         return list(self._topics.values())
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message, in the order of writing.
+        """Yield every message in write order.
 
         Raises:
-            TruncatedError: the data base breaks off or is damaged.
+            TruncatedError: the database is truncated or damaged.
         """
         last = -(2**63)
         try:
@@ -84,7 +84,7 @@ class SqliteContainer:
         """Return the bytes of a message, or only the first `most`.
 
         Raises:
-            TruncatedError: they are not there.
+            TruncatedError: the bytes are missing.
         """
         self._steps = 0
         try:

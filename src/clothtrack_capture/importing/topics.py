@@ -1,4 +1,4 @@
-"""Which topics of a bag show depth and color: the usual names first, else the choice is asked."""
+"""Choice of a bag's depth and color topics by their usual names; otherwise the user must choose."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ from clothtrack_capture.importing.containers import Topic
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-# Best first. Depth that a driver has registered to color spares our own registration.
+# Best first. Depth that a driver has registered to color needs no registration here.
 _DEPTH = (
     r"aligned_depth_to_color/image(_raw|_rect)?$",
     r"depth_to_(rgb|color)/(hw_registered/)?image(_raw|_rect|_rect_raw)?$",
@@ -32,14 +32,14 @@ _TRANSPORTS = ("/compressedDepth", "/compressed")
 
 
 def base_name(topic: str) -> str:
-    """Return the topic without the way it is transported."""
+    """Return the topic name without its image transport."""
     for transport in _TRANSPORTS:
         topic = topic.removesuffix(transport)
     return topic
 
 
 def _image_topics(topics: Iterable[Topic]) -> list[Topic]:
-    """Return those that carry pictures."""
+    """Return the topics that carry pictures."""
     return [topic for topic in topics if topic.kind in (IMAGE, COMPRESSED)]
 
 
@@ -47,9 +47,9 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
     """Return the topic of depth.
 
     Raises:
-        InvalidRecordingError: none or several may be it; names all and the flag.
+        InvalidRecordingError: no topic or several match; the message lists all and the flag.
     """
-    # A depth topic's plain `compressed` can be 8-bit pictures; compressedDepth never is.
+    # The plain `compressed` of a depth topic can be 8-bit; compressedDepth never is.
     able = [topic for topic in _image_topics(topics) if not topic.name.endswith("/compressed")]
     return _choose(path, able, _DEPTH, asked, what="depth", flag="--depth-topic", every=topics)
 
@@ -57,10 +57,10 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
 def choose_color(
     path: Path, topics: Sequence[Topic], depth: Topic, asked: str | None
 ) -> Topic | None:
-    """Return the topic of color, or None when there is none.
+    """Return the topic of color, or None if there is none.
 
     Raises:
-        InvalidRecordingError: several may be it, or the one asked for is not there.
+        InvalidRecordingError: several match, or the requested one does not exist.
     """
     able = [
         topic
@@ -74,7 +74,7 @@ def choose_color(
     ]
     if asked is None and not usual:
         return None
-    # A camera's color is a neighbor of its depth.
+    # The color of a camera shares the longest topic prefix with its depth.
     shared = max((_shared(topic.name, depth.name) for topic in usual), default=0)
     near = [topic for topic in able if _shared(topic.name, depth.name) >= shared]
     return _choose(
@@ -84,7 +84,7 @@ def choose_color(
 
 
 def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
-    """Return the topic that holds the intrinsics of a picture topic."""
+    """Return the topic with the intrinsics of a picture topic."""
     folder, _, _ = base_name(image.name).rpartition("/")
     stream = folder.removesuffix("/image")
     wanted = (
@@ -98,7 +98,7 @@ def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
 
 
 def listed(topics: Iterable[Topic], limit: int = 30) -> str:
-    """Return the topics in words, pictures first."""
+    """Return a list of the topics as text, pictures first."""
     ranked = sorted(
         set(topics), key=lambda topic: (topic.kind not in (IMAGE, COMPRESSED), topic.name)
     )
@@ -135,7 +135,7 @@ def _choose(
                 f"choose one with {flag}"
             )
         if candidates:
-            # Of several transports, what was not packed and then not lossy.
+            # Of several transports, prefer raw images.
             return min(candidates, key=lambda topic: (topic.kind != IMAGE, topic.name))
     raise InvalidRecordingError(
         f"{path}: no topic has a usual name of {what}; topics: {listed(every)}; name one "

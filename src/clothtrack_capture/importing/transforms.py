@@ -1,4 +1,4 @@
-"""The tree of frames that ROS calls TF: where one frame is in another, at any time."""
+"""The ROS tree of frames (TF): the pose of one frame in another at any time."""
 
 from array import array
 from bisect import bisect_right
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation, Slerp
 
-# A tip's path needs no more samples than this [ns]; joints are published at up to 1 kHz.
+# Smallest spacing of samples that a tip's path needs [ns]; joints are published at up to 1 kHz.
 _CLOSEST_NS = 4_000_000
 _DEEPEST = 100
 
@@ -45,15 +45,15 @@ class _Edge:
 
 
 class TransformTree:
-    """Frames and how they stand to their parents, gathered message by message."""
+    """The frames and their transforms to their parents, collected message by message."""
 
     def __init__(self) -> None:
-        """No frames yet."""
+        """Start without frames."""
         self._edges: dict[str, _Edge] = {}
 
     @property
     def frames(self) -> list[str]:
-        """Every frame's name."""
+        """Names of all frames."""
         return sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
 
     def add(
@@ -66,7 +66,7 @@ class TransformTree:
         *,
         static: bool,
     ) -> None:
-        """Note where `child` is in `parent`; what is not a rigid transform is left out."""
+        """Add the pose of `child` in `parent`; ignore it if it is not rigid."""
         numbers = np.array([*translation, *quaternion], dtype=np.float64)
         if not np.isfinite(numbers).all() or not 0.5 < np.linalg.norm(numbers[3:]) < 2:
             return
@@ -82,7 +82,7 @@ class TransformTree:
         edge.numbers.extend(numbers.tolist())
 
     def add_message(self, stamped: Any, fallback_ns: int, *, static: bool) -> None:
-        """Note what a TransformStamped says; at `fallback_ns` where it has no time."""
+        """Add a TransformStamped, at `fallback_ns` if it has no time."""
         stamp = stamped.header.stamp
         t, q = stamped.transform.translation, stamped.transform.rotation
         self.add(
@@ -92,18 +92,18 @@ class TransformTree:
         )  # fmt: skip
 
     def forget(self, before_ns: int) -> None:
-        """Forget what was noted before a time, but for the last sample of each frame up to it."""
+        """Remove samples before a time, except the last sample of each frame up to it."""
         for edge in self._edges.values():
             kept = max(bisect_right(edge.times, before_ns) - 1, 0)
             del edge.times[:kept]
             del edge.numbers[: 7 * kept]
 
     def connects(self, first: str, other: str) -> bool:
-        """Return whether both frames hang in the same tree."""
+        """Return whether both frames are in the same tree."""
         return self._chain(first)[-1] == self._chain(other)[-1]
 
     def moments(self, target: str, source: str) -> Int64[np.ndarray, " times"]:
-        """Return the times [ns] at which the transform of two frames is known; one if static."""
+        """Return the times [ns] at which two frames' transform is known; one time if static."""
         text = [
             np.frombuffer(self._edges[name].times, dtype=np.int64)
             for name in self._between(target, source)
@@ -111,7 +111,7 @@ class TransformTree:
         ]
         if not text:
             return np.zeros(1, dtype=np.int64)
-        # Beyond the shortest of the moving links nothing is known.
+        # The transform is known only where all moving links have samples.
         first, last = max(times.min() for times in text), min(times.max() for times in text)
         every = np.unique(np.concatenate(text))
         return every[(every >= first) & (every <= last)]
@@ -119,9 +119,10 @@ class TransformTree:
     def lookup(
         self, target: str, source: str, times: Int64[np.ndarray, " times"]
     ) -> Float[np.ndarray, "times 4 4"]:
-        """Takes points of frame `source` to frame `target`, at each time [ns].
+        """Return the transform from frame `source` to frame `target` at each time [ns].
 
-        Linear between samples (rotations along the shortest arc), constant beyond the ends.
+        It is linear between samples (rotations along the shortest arc) and constant beyond the
+        ends.
         """
         target, source = target.lstrip("/"), source.lstrip("/")
         return np.linalg.inv(self._to_root(target, times)) @ self._to_root(source, times)

@@ -1,4 +1,4 @@
-"""ROS 2 without a ROS installation: pictures and poses in, meshes out, over DDS (extra [ros2])."""
+"""ROS 2 input and output over DDS without a ROS installation (extra [ros2])."""
 
 from typing import TYPE_CHECKING
 

@@ -1,6 +1,7 @@
-"""What belongs to one moment: a depth picture, its color, where the tip was and whether it held.
+"""Joining of depth, color, tip position and gripper state that belong to one moment.
 
-Nothing here knows of DDS: pictures and samples are put in with their times, moments come out.
+This module does not depend on DDS. Pictures and samples are added with their times, and joined
+moments are returned.
 """
 
 from collections import deque
@@ -20,13 +21,13 @@ _STARTED_ANEW_NS = 10**9
 
 
 class Received(NamedTuple):
-    """A message that has come, not decoded yet.
+    """A received message that is not decoded yet.
 
     Attributes:
         stamp_ns: time in its header [ns].
-        sent_ns: when it was sent, by the clock of the machine that did [ns].
-        came_s: when it came, by our own steady clock [s].
-        data: its bytes.
+        sent_ns: time of sending, on the sender's clock [ns].
+        came_s: time of arrival, on the local monotonic clock [s].
+        data: bytes of the message.
     """
 
     stamp_ns: int
@@ -37,12 +38,12 @@ class Received(NamedTuple):
 
 @dataclass
 class PictureCounts:
-    """Depth pictures that were not given out.
+    """Counts of depth pictures that were not returned.
 
     Attributes:
-        late: a newer one was there by the time one was asked for.
-        alone: without a color picture near enough.
-        damaged: that could not be decoded.
+        late: number replaced by a newer picture before they were requested.
+        alone: number without a color picture near enough.
+        damaged: number that could not be decoded.
     """
 
     late: int = 0
@@ -51,16 +52,16 @@ class PictureCounts:
 
 
 class PictureQueue:
-    """Pairs depth with color and gives out the newest pair; what is older is dropped."""
+    """A queue that pairs depth with color and returns the newest pair, dropping older ones."""
 
     def __init__(self, topic: str, *, with_color: bool, tolerance_s: float, hold_s: float) -> None:
         """Start empty.
 
         Args:
-            topic: of depth, for errors.
-            with_color: each depth picture needs a color picture.
-            tolerance_s: how far apart their stamps may be [s].
-            hold_s: how long a picture waits for what belongs to it [s].
+            topic: depth topic, for error messages.
+            with_color: whether each depth picture needs a color picture.
+            tolerance_s: largest difference of their stamps [s].
+            hold_s: how long a picture waits for its color and pose [s].
         """
         self._topic, self._with_color = topic, with_color
         self._tolerance_ns, self._hold_s = round(tolerance_s * 1e9), hold_s
@@ -71,11 +72,11 @@ class PictureQueue:
 
     @property
     def waits(self) -> bool:
-        """Whether a depth picture waits for what belongs to it."""
+        """Whether a depth picture is waiting for its color or pose."""
         return bool(self._depth)
 
     def add_depth(self, picture: Received) -> None:
-        """Put in a depth picture.
+        """Add a depth picture.
 
         Raises:
             InvalidRecordingError: its clock was set back.
@@ -94,18 +95,18 @@ class PictureQueue:
             self.counts.late += 1
 
     def add_color(self, picture: Received) -> None:
-        """Put in a color picture."""
+        """Add a color picture."""
         self._color.append(picture)
 
     def next(
         self, now_s: float, picker_known_ns: int | None
     ) -> tuple[Received, Received | None] | None:
-        """Return the newest depth picture that everything is there for, with its color.
+        """Return the newest complete depth picture with its color.
 
         Args:
-            now_s: by our own steady clock [s].
-            picker_known_ns: until when the picker's pose is known [ns]; None where none is waited
-                for.
+            now_s: time on the local monotonic clock [s].
+            picker_known_ns: time until which the picker's pose is known [ns]; None to not wait for
+                it.
         """
         for place in reversed(range(len(self._depth))):
             depth = self._depth[place]
@@ -121,7 +122,7 @@ class PictureQueue:
         return None
 
     def _color_of(self, stamp_ns: int, *, decided: bool) -> Received | None:
-        """The nearest color picture; None where there is none, or a nearer one may still come."""
+        """Return the nearest color picture; None if there is none or a nearer one may come."""
         if not self._color:
             return None
         nearest = min(self._color, key=lambda picture: abs(picture.stamp_ns - stamp_ns))
@@ -148,7 +149,7 @@ class PictureQueue:
 
 
 class TipTrack:
-    """Where the tip was, sample by sample: the newest few thousand."""
+    """The newest few thousand samples of the tip's position."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, Float[np.ndarray, " 3"]]] = deque(maxlen=_SAMPLES_KEPT)
@@ -159,16 +160,16 @@ class TipTrack:
         return self._samples[-1][0] if self._samples else -1
 
     def add(self, stamp_ns: int, position: Float[np.ndarray, " 3"]) -> None:
-        """Note a position [m]; one that is not newer than the last is left out."""
+        """Add a position [m]; ignore it if it is not newer than the last."""
         if stamp_ns > self.known_ns:
             self._samples.append((stamp_ns, position))
 
     def at(self, stamp_ns: int, reach_ns: int) -> Float[np.ndarray, " 3"] | None:
-        """Return the position at a time [m]: linear between samples, constant beyond the ends.
+        """Return the position at a time [m], linear between samples and constant beyond the ends.
 
         Args:
-            stamp_ns: the time [ns].
-            reach_ns: farthest from a sample that it is still known [ns]; beyond it: None.
+            stamp_ns: time [ns].
+            reach_ns: largest distance to a sample in time [ns]; beyond it the result is None.
         """
         after: tuple[int, Float[np.ndarray, " 3"]] | None = None
         for sample in reversed(self._samples):
@@ -196,28 +197,28 @@ def _between(
 
 
 class GripTrack:
-    """When the gripper was closed."""
+    """The gripper's state over time."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, bool, bool]] = deque(maxlen=_SAMPLES_KEPT)
 
     def add(self, time_ns: int, closed: bool, *, stamped: bool) -> None:
-        """Note whether it is closed from this time on.
+        """Add the gripper's state from this time on.
 
         Args:
-            time_ns: in the header, or when the message was sent [ns].
-            closed: whether it is.
-            stamped: the time is that in the header.
+            time_ns: time in the header, or the time of sending [ns].
+            closed: whether the gripper is closed.
+            stamped: whether the time is from the header.
         """
         self._samples.append((time_ns, closed, stamped))
 
     def at(self, stamp_ns: int, sent_ns: int) -> bool:
-        """Return whether it was closed; open before the first message.
+        """Return whether the gripper was closed; it counts as open before the first message.
 
         Args:
             stamp_ns: time in the header of the picture [ns].
-            sent_ns: when the picture was sent [ns]. What has no stamp counts by this time where
-                the clock of the pictures is another (a bag that is played, a simulation).
+            sent_ns: time at which the picture was sent [ns]. Samples without a stamp are compared
+                with this time if the pictures have another clock (a replayed bag, a simulation).
         """
         same_clock = abs(sent_ns - stamp_ns) < _CLOCKS_DIFFER_NS
         for time_ns, closed, stamped in reversed(self._samples):

@@ -1,4 +1,4 @@
-"""One moment of a live source: what a tracker is updated with."""
+"""One moment of a live source, the input of a tracker update."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from jaxtyping import Bool, Float, UInt8
 
 @dataclass(frozen=True, eq=False)
 class LivePicture:
-    """What a camera and a robot tell of one moment.
+    """The data of a camera and a robot at one moment.
 
     Attributes:
         time_s: seconds since the source's first depth picture.
-        depth: along the optical axis [m], float32; 0 where nothing was measured.
-        color: red first, registered to depth; None without a color camera.
-        mask: true where the picture shows the cloth; None where nobody says.
-        picker: name to tip position in the world [m] and whether it is closed; None where no
-            picker is followed, or its pose has stalled.
+        depth: depth along the optical axis [m], float32; 0 where nothing was measured.
+        color: color picture, red first, registered to depth; None without a color camera.
+        mask: true where the picture shows the cloth; None if not known.
+        picker: tip position in the world [m] and whether it is closed, per picker name; None if no
+            picker is tracked or its pose has stalled.
     """
 
     time_s: float

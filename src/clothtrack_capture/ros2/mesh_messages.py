@@ -1,4 +1,4 @@
-"""A mesh as messages that RViz and controllers read: a Marker of triangles, a PointCloud2."""
+"""Mesh messages for RViz and controllers: a Marker of triangles and a PointCloud2."""
 
 import struct
 from typing import Any
@@ -22,10 +22,10 @@ _VERTEX = np.dtype(
 
 
 class TriangleMarker:
-    """Makes a Marker of type TRIANGLE_LIST, picture after picture.
+    """An encoder for Markers of type TRIANGLE_LIST, one per picture.
 
-    The standard writers make an object of every point and color, which takes longer than a picture
-    may: here the two arrays are laid into a message that was written without them.
+    The standard writers make an object of every point and color, which takes longer than the time
+    between pictures. Here the two arrays are inserted into a message that was written without them.
     """
 
     def __init__(self, frame_id: str) -> None:
@@ -35,7 +35,7 @@ class TriangleMarker:
             frame_id: frame of the positions.
         """
         bare, one = (_bare_marker(frame_id, points) for points in ([], [_made("Point")]))
-        # They differ first where the number of points stands, and numbers of both arrays follow.
+        # They differ first at the number of points, where both arrays follow.
         pairs = enumerate(zip(bare, one, strict=False))
         self._counts_at = next(place for place, (mine, other) in pairs if mine != other)
         self._bare = bare
@@ -50,11 +50,11 @@ class TriangleMarker:
 
         Args:
             stamp_ns: time in its header [ns].
-            corners: three of each triangle [m].
-            colors: red, green, blue and alpha of each, 0 to 1.
+            corners: three corners of each triangle [m].
+            colors: red, green, blue and alpha of each corner, 0 to 1.
         """
         place, count = self._counts_at, struct.pack("<I", len(corners))
-        # No gap: doubles lie at multiples of eight, and so does what comes after the count.
+        # No padding is needed: doubles are aligned to eight bytes, and so is the end of the count.
         return b"".join([
             _stamped(self._bare[:place], stamp_ns), count, corners.astype("<f8").tobytes(),
             count, colors.astype("<f4").tobytes(), self._bare[place + 8 :],
@@ -68,14 +68,14 @@ def vertex_cloud(
     expected_error_m: Float[np.ndarray, " vertices"],
     visible: Bool[np.ndarray, " vertices"],
 ) -> bytes:
-    """Return a PointCloud2 as CDR: one point a vertex, in their order.
+    """Return a PointCloud2 as CDR, with one point per vertex in vertex order.
 
     Args:
         stamp_ns: time in its header [ns].
         frame_id: frame of the positions.
-        positions: of the vertices [m].
-        expected_error_m: of each [m]; NaN where it is not known.
-        visible: which of them the camera sees.
+        positions: vertex positions [m].
+        expected_error_m: expected error of each vertex [m]; NaN where it is not known.
+        visible: whether the camera sees each vertex.
     """
     points = np.zeros(len(positions), _VERTEX)
     for axis, name in enumerate("xyz"):
@@ -97,7 +97,7 @@ def vertex_cloud(
 def corner_values(
     values: Float[np.ndarray, "vertices channels"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "corners channels"]:
-    """Return what each corner of each triangle has of its vertex."""
+    """Return the vertex values at each corner of each triangle."""
     return values[faces.ravel()]
 
 
@@ -138,7 +138,7 @@ _PACKAGES = {
 
 
 def _made(kind: str, **content: Any) -> Any:
-    """A message of a type; numbers that are not given are 0."""
+    """Return a message of a type; numbers that are not given are 0."""
     name = f"{_PACKAGES.get(kind, 'geometry_msgs')}/msg/{kind}"
     store = message_store(cdr=True)
     missing = [field for field, _ in store.fielddefs[name][1] if field not in content]

@@ -1,7 +1,7 @@
-"""ROS 2's message types as DDS knows them, made from the definitions of `rosbags`.
+"""ROS 2 message types for DDS, made from the definitions of `rosbags`.
 
-DDS gets the names and layouts; the bytes themselves are written and read by `rosbags`, which gives
-arrays instead of lists of numbers. Only messages that are wanted are decoded.
+DDS gets the names and layouts. The bytes are written and read by `rosbags`, which returns arrays
+instead of lists of numbers. Only the needed messages are decoded.
 """
 
 from functools import cache
@@ -30,9 +30,9 @@ _BASES = {
 }
 
 
-# Annotations do not name classes of this kind: beartype refuses how they describe themselves.
+# Annotations do not use classes of this kind, because beartype rejects their self-description.
 class CdrMessage(IdlStruct):
-    """A message as it travels: CDR behind a head of four bytes."""
+    """A serialized message: CDR after a header of four bytes."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -40,7 +40,7 @@ class CdrMessage(IdlStruct):
     def serialize(
         self, buffer: Any = None, endianness: Any = None, use_version_2: bool | None = None
     ) -> bytes:
-        """Return the bytes as they are; ROS 2 has one representation, whatever is asked for."""
+        """Return the bytes unchanged; ROS 2 has only one representation."""
         del buffer, endianness, use_version_2
         return self.data
 
@@ -48,11 +48,11 @@ class CdrMessage(IdlStruct):
     def deserialize(
         cls, data: bytes, has_header: bool = True, use_version_2: bool | None = None
     ) -> Any:
-        """Keep the bytes; `importing.messages.decode` makes fields of them."""
+        """Store the bytes; `importing.messages.decode` decodes their fields."""
         del has_header, use_version_2
         return cls(data)
 
-    # ROS's messages have no keys: what tells that a publisher has left holds nothing.
+    # ROS messages have no keys, so the sample that reports a publisher's end is empty.
     deserialize_key = deserialize
 
 
@@ -63,25 +63,25 @@ def dds_name(kind: str) -> str:
 
 
 def ros_name(dds: str) -> str:
-    """Return the ROS name of a DDS type; the DDS name where ROS has not made it."""
+    """Return the ROS name of a DDS type; the DDS name if it is not a ROS type."""
     return dds.removesuffix("_").replace("::dds_::", "::").replace("::", "/")
 
 
 @cache
 def dds_type(kind: str) -> type:
-    """Return the DDS type of messages such as "sensor_msgs/msg/Image"; samples hold their bytes."""
+    """Return the DDS type of a message type such as "sensor_msgs/msg/Image"; samples hold bytes."""
     name, fields = kind.rpartition("/")[2], fields_of(kind)
     return make_idl_struct(name, dds_name(kind), fields, dataclassify=False, bases=(CdrMessage,))
 
 
 @cache
 def idl_struct(kind: str) -> type:
-    """Return a message type with its fields, to be a field of another."""
+    """Return a message type with its fields, for use as a field of another type."""
     return make_idl_struct(kind.rpartition("/")[2], dds_name(kind), fields_of(kind))
 
 
 def fields_of(kind: str) -> dict[str, Any]:
-    """Return IDL types of the fields of a message type, in their order."""
+    """Return the IDL types of a message type's fields, in order."""
     return {name: _idl_type(tree) for name, tree in message_store(cdr=True).fielddefs[kind][1]}
 
 

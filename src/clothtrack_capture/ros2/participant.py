@@ -1,4 +1,4 @@
-"""DDS as ROS 2 uses it: who publishes what, and readers and writers with ROS's qualities."""
+"""DDS as used by ROS 2: discovery of topics, and readers and writers with ROS's QoS."""
 
 import os
 import threading
@@ -30,12 +30,12 @@ from clothtrack_capture.ros2.message_types import CdrMessage, dds_type, ros_name
 
 PICTURES_KEPT = 5
 SAMPLES_KEPT = 512
-_PREFIX = "rt"  # of the names of ROS topics in DDS
+_PREFIX = "rt"  # prefix of ROS topic names in DDS
 _MOST_ENDPOINTS = 10_000
 _BLOCKED_AT_MOST = duration(milliseconds=5)
-# Fast DDS describes ROS's types in a form that Cyclone DDS takes for damaged, and then nobody hears
-# anybody. A type of ROS is known by its name: the descriptions of these vendors (RTI, eProsima,
-# Eclipse) are not looked at.
+# Cyclone DDS takes Fast DDS's descriptions of ROS types for damaged, and then no messages arrive.
+# ROS types are identified by name, so the type descriptions of these vendors (RTI, eProsima,
+# Eclipse) are ignored.
 _CONFIGURATION = (
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.1,1.15,1.16"
     "</IgnoreTypeInformation></Compatibility></Domain></CycloneDDS>"
@@ -46,12 +46,12 @@ _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 @dataclass(frozen=True)
 class Publication:
-    """How a topic is published.
+    """The publication of a topic.
 
     Attributes:
         kind: message type, such as "sensor_msgs/msg/Image".
-        reliable: every publisher sends again what was lost.
-        latched: every publisher sends its last messages to those who come late.
+        reliable: whether every publisher resends lost messages.
+        latched: whether every publisher sends its last messages to late subscribers.
     """
 
     kind: str
@@ -60,13 +60,13 @@ class Publication:
 
 
 class Reader:
-    """Gives the messages of a topic that have come."""
+    """A reader of a topic's messages."""
 
     def __init__(self, topic: Topic, reader: DataReader, condition: ReadCondition) -> None:
         self.topic, self.condition, self._reader = topic, condition, reader
 
     def take(self) -> list[tuple[bytes, int]]:
-        """Return what has come since, oldest first: the bytes, and when they were sent [ns]."""
+        """Return bytes and send time [ns] of the messages since the last call, oldest first."""
         samples = self._reader.take(N=SAMPLES_KEPT)
         return [
             (sample.data, sample.sample_info.source_timestamp)
@@ -76,13 +76,13 @@ class Reader:
 
 
 class Writer:
-    """Publishes the messages of a topic."""
+    """A publisher of a topic's messages."""
 
     def __init__(self, writer: DataWriter, kind: str) -> None:
         self._writer, self._type = writer, dds_type(kind)
 
     def write(self, data: bytes) -> bool:
-        """Send a message; return false where a reader is too slow to take it."""
+        """Send a message; return false if a reader is too slow to take it."""
         try:
             self._writer.write(self._type(data))
         except DDSException as error:
@@ -93,16 +93,16 @@ class Writer:
 
 
 class Participant:
-    """Takes part in a domain, until it is closed."""
+    """A participant in a DDS domain, until it is closed."""
 
     def __init__(self, domain_id: int | None) -> None:
         """Join a domain.
 
         Args:
-            domain_id: as ROS counts them; that of ROS_DOMAIN_ID, or 0, by default.
+            domain_id: ROS domain id; ROS_DOMAIN_ID, or 0, by default.
 
         Raises:
-            InvalidConfigError: there can be no such domain.
+            InvalidConfigError: the domain id is not valid.
         """
         number = _domain_of_environment() if domain_id is None else domain_id
         try:
@@ -118,7 +118,7 @@ class Participant:
         self._entities: list[Any] = [self._participant, self._publications]
 
     def publications(self) -> dict[str, Publication]:
-        """Return every ROS topic that somebody publishes now."""
+        """Return every ROS topic that is published now."""
         found: dict[str, list[Any]] = {}
         for endpoint in self._publications.read(N=_MOST_ENDPOINTS):
             alive = endpoint.sample_info.instance_state == InstanceState.Alive
@@ -127,7 +127,7 @@ class Participant:
         return {name: _publication(endpoints) for name, endpoints in found.items()}
 
     def picture_reader(self, topic: Topic) -> Reader:
-        """Read a topic as sensor data: the newest, best effort. `wait` ends when one comes."""
+        """Read a topic as sensor data (newest only, best effort); `wait` ends when one arrives."""
         reader = self._reader(
             topic, Policy.Reliability.BestEffort, Policy.History.KeepLast(PICTURES_KEPT)
         )
@@ -135,7 +135,7 @@ class Participant:
         return reader
 
     def sample_reader(self, topic: Topic, *, reliable: bool, latched: bool) -> Reader:
-        """Read a topic of small messages, as surely as it is published."""
+        """Read a topic of small messages, with the reliability it is published with."""
         return self._reader(
             topic,
             Policy.Reliability.Reliable(0) if reliable else Policy.Reliability.BestEffort,
@@ -144,7 +144,7 @@ class Participant:
         )
 
     def writer(self, topic: Topic) -> Writer:
-        """Publish a topic: reliable, the newest message only, nothing for those who come late."""
+        """Publish a topic reliably, newest message only, without latching."""
         qos = _qos(
             Policy.Reliability.Reliable(_BLOCKED_AT_MOST),
             Policy.Durability.Volatile,
@@ -156,13 +156,13 @@ class Participant:
         return Writer(writer, topic.kind)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until a picture is there to be taken, or the time is over."""
+        """Wait until a picture has arrived or the time is over."""
         self._waiting.wait(duration(seconds=timeout_s))
 
     def close(self) -> None:
-        """Leave the domain; readers and writers are of no use any more."""
+        """Leave the domain; readers and writers become unusable."""
         for entity in (self._waiting, *reversed(self._entities)):
-            # Deletes it now, not when the last reference to it is gone.
+            # Delete it now, not when its last reference is gone.
             entity.__del__()
         self._entities.clear()
 
@@ -176,7 +176,7 @@ class Participant:
 
 
 def _qos(*policies: Any) -> Qos:
-    # The only representation that ROS 2 writes and reads.
+    # ROS 2 writes and reads only this representation.
     return Qos(*policies, Policy.DataRepresentation(use_cdrv0_representation=True))
 
 
@@ -192,7 +192,7 @@ def _publication(endpoints: Sequence[Any]) -> Publication:
 
 @contextmanager
 def _configured() -> Iterator[None]:
-    """Have a domain that begins now read our configuration, then that of the environment."""
+    """Make a domain created inside read our configuration, then that of the environment."""
     with _CONFIGURING:
         given = os.environ.get("CYCLONEDDS_URI")
         os.environ["CYCLONEDDS_URI"] = f"{_CONFIGURATION},{given}" if given else _CONFIGURATION

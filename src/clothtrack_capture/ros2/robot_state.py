@@ -1,4 +1,4 @@
-"""Where the tip of the tool was, and whether it held, from poses, TF and a gripper's messages."""
+"""The tool tip's position and the gripper's state, from poses, TF and gripper messages."""
 
 import logging
 from dataclasses import dataclass, field
@@ -22,13 +22,12 @@ _TF_KEPT_NS = 5 * 10**9
 
 @dataclass
 class RobotState:
-    """What is known of the robot so far.
+    """The robot's state as known so far.
 
     Attributes:
-        topics: what was asked for.
-        config: how long a pose counts, and when a gripper is closed.
-        world: frame that positions are given in; "" where nobody says which it is, and poses are
-            taken as they come.
+        topics: requested topics.
+        config: how long a pose is valid, and when a gripper is closed.
+        world: frame of the positions; "" if not specified, and then poses are used unchanged.
         tree: TF.
     """
 
@@ -42,16 +41,16 @@ class RobotState:
     _lost: str = ""
 
     def note_pose(self, topic: Topic, data: bytes, sent_ns: int) -> None:
-        """Note where the tip is.
+        """Store the tip's position.
 
         Raises:
-            TruncatedError: the message tells no position.
+            TruncatedError: the message has no position.
         """
         self._tip_frame, position = position_of(topic, decode(topic, data))
         self._tip.add(header_stamp_ns(topic, data) or sent_ns, np.array(position))
 
     def note_transforms(self, topic: Topic, data: bytes, sent_ns: int) -> None:
-        """Note what TF says.
+        """Store the transforms of a TF message.
 
         Raises:
             TruncatedError: the message is damaged.
@@ -60,11 +59,11 @@ class RobotState:
             self.tree.add_message(stamped, sent_ns, static=topic.name == TF_STATIC)
 
     def note_grip(self, topic: Topic, data: bytes, sent_ns: int) -> None:
-        """Note whether the gripper is closed.
+        """Store whether the gripper is closed.
 
         Raises:
             TruncatedError: the message is damaged.
-            InvalidConfigError: it tells a number, and nobody said which numbers are closed.
+            InvalidConfigError: it has a number, and `closed_below` is not set.
         """
         stamp_ns = header_stamp_ns(topic, data) if topic.kind.startswith("sensor_msgs/") else 0
         told = grip_of(decode(topic, data))
@@ -79,26 +78,27 @@ class RobotState:
 
     @property
     def known_ns(self) -> int | None:
-        """Until when the tip's place is known [ns]; None where there is none to wait for."""
+        """Time until which the tip's position is known [ns]; None if no wait is needed."""
         tool = self.topics.tool_frame
         if tool is None:
             return self._tip.known_ns if self.topics.pose is not None else None
         if not self.tree.connects(self.world, tool):
             return -1
-        # 0: nothing moves between the two frames, so that it is known at any time.
+        # 0 means that the transform is static, so it is known at any time.
         return int(self.tree.moments(self.world, tool)[-1]) or None
 
     def picker(
         self, stamp_ns: int, sent_ns: int
     ) -> dict[str, tuple[Float[np.ndarray, " 3"], bool]] | None:
-        """Return the tip's place in the world [m] and whether it held, at the time of a picture.
+        """Return the tip position in the world [m] and whether it is closed, at a picture's time.
 
         Args:
             stamp_ns: time in the header of the picture [ns].
-            sent_ns: when it was sent [ns].
+            sent_ns: time at which it was sent [ns].
 
         Returns:
-            By the picker's name; None where nobody asked for it, or its place is not known.
+            The values by the picker's name; None if no picker is requested or its position is not
+            known.
         """
         if self.topics.pose is None and self.topics.tool_frame is None:
             return None

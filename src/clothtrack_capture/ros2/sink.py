@@ -1,4 +1,4 @@
-"""Tracked meshes to ROS 2 topics."""
+"""Publication of tracked meshes on ROS 2 topics."""
 
 from types import TracebackType
 
@@ -20,14 +20,14 @@ _HIDDEN_ALPHA = 0.5
 
 
 class Ros2Sink:
-    """Publishes a mesh for RViz, and its vertices for programs.
+    """A publisher of meshes for RViz, and of their vertices for programs.
 
     The mesh is a Marker of triangles, colored by the expected error (blue to red, gray where it is
-    not known), half transparent where no camera sees it. The vertices are a PointCloud2 in their
-    order with the fields x, y, z, expected_error_m and visible.
+    not known) and half transparent where no camera sees it. The vertices are a PointCloud2 in
+    vertex order with the fields x, y, z, expected_error_m and visible.
 
     Attributes:
-        skipped: messages that were not sent, because a reader was too slow to take them.
+        skipped: number of messages not sent because a reader was too slow to take them.
     """
 
     def __init__(
@@ -42,14 +42,14 @@ class Ros2Sink:
         """Join the domain.
 
         Args:
-            mesh_topic: where the Marker goes.
-            cloud_topic: where the PointCloud2 goes; None for no cloud.
-            frame_id: TF frame that the world of the meshes is.
-            error_limit_m: expected error that is shown in red [m].
-            domain_id: as ROS counts them; that of ROS_DOMAIN_ID, or 0, by default.
+            mesh_topic: topic of the Marker.
+            cloud_topic: topic of the PointCloud2; None for no cloud.
+            frame_id: TF frame of the meshes' world.
+            error_limit_m: expected error shown in red [m].
+            domain_id: ROS domain id; ROS_DOMAIN_ID, or 0, by default.
 
         Raises:
-            InvalidConfigError: there can be no such domain.
+            InvalidConfigError: the domain id is not valid.
         """
         self._frame_id, self._error_limit_m = frame_id, error_limit_m
         self._marker = TriangleMarker(frame_id)
@@ -82,11 +82,11 @@ class Ros2Sink:
         """Publish a mesh.
 
         Args:
-            stamp_ns: stamp of the picture that it belongs to [ns] (`Ros2Source.stamp_ns`).
-            positions: of the vertices in the world [m].
-            faces: vertices of each triangle.
-            expected_error_m: of each vertex [m]; NaN or None where it is not known.
-            visible: which vertices a camera sees; None for all.
+            stamp_ns: stamp of the picture that the mesh belongs to [ns] (`Ros2Source.stamp_ns`).
+            positions: vertex positions in the world [m].
+            faces: vertex indices of each triangle.
+            expected_error_m: expected error of each vertex [m]; NaN or None where it is not known.
+            visible: whether a camera sees each vertex; None for all.
         """
         count = len(positions)
         error = np.full(count, np.nan) if expected_error_m is None else expected_error_m

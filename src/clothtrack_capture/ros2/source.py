@@ -47,22 +47,22 @@ _KINDS = {
         "sensor_msgs/msg/JointState",
     ),
 }
-# Pictures first: what was sent before a picture is there when the others are taken.
+# Take pictures first, so that messages sent before a picture are there when it is joined.
 _ORDER = ("depth", "color", "camera_info", TF_STATIC, _TF, "pose", "gripper")
 _LOOK_AGAIN_S = 0.05
 _POLL_S = 0.002
 
 
 class Ros2Source:
-    """Pictures of a ROS 2 camera with the tool's pose, as they come; the newest first when late.
+    """A live source of a ROS 2 camera's pictures with the tool's pose; older ones are dropped.
 
-    Iterating gives `LivePicture` after `LivePicture`, whose fields are what a live tracker is
-    updated with. Iteration ends when `close` is called, or when depth is not published any more.
+    Iterating yields `LivePicture` objects, whose fields are the input of a live tracker's update.
+    Iteration ends when `close` is called, or when depth is no longer published.
 
     Attributes:
-        camera: intrinsics, and the pose in the world.
+        camera: intrinsics and pose in the world.
         start_ns: stamp of the first depth picture [ns]; times count from it.
-        counts: depth pictures that were not given out, and why.
+        counts: depth pictures that were not returned, by reason.
     """
 
     camera: Camera
@@ -80,14 +80,14 @@ class Ros2Source:
         """Join the domain and wait for the first pictures and the camera's intrinsics and pose.
 
         Args:
-            topics: which topics tell what.
-            world_from_camera: the camera's pose. By default from TF, where `topics.world_frame` is
-                given; else the camera's frame is the world.
-            config: how messages are read and joined.
-            domain_id: as ROS counts them; that of ROS_DOMAIN_ID, or 0, by default.
+            topics: topics to read.
+            world_from_camera: camera pose. By default it is read from TF if `topics.world_frame` is
+                given; otherwise the camera's frame is the world.
+            config: settings for reading and joining messages.
+            domain_id: ROS domain id; ROS_DOMAIN_ID, or 0, by default.
 
         Raises:
-            InvalidConfigError: a topic is of another type, or a setting contradicts another.
+            InvalidConfigError: a topic has another type, or two settings contradict each other.
             InvalidRecordingError: a topic is silent, or its pictures cannot be used.
         """
         if topics.tool_frame is not None and (topics.pose is not None or not topics.world_frame):
@@ -117,7 +117,7 @@ class Ros2Source:
             pose = self._find_pose(frame) if world_from_camera is None else world_from_camera
             self.camera = self._intrinsics.rectified().camera("camera", pose)
             self.start_ns = self._first["depth"].stamp_ns
-            self._queue.counts.late = 0  # nobody could have taken those that came meanwhile
+            self._queue.counts.late = 0  # pictures that came before now could not have been taken
         except BaseException:
             self.close()
             raise
@@ -134,12 +134,12 @@ class Ros2Source:
         self.close()
 
     def __iter__(self) -> Iterator[LivePicture]:
-        """Yield pictures as they come.
+        """Yield pictures as they arrive.
 
         Raises:
             InvalidRecordingError: depth is still published, but no picture came for `patience_s`,
                 or its clock was set back.
-            InvalidConfigError: the gripper tells numbers, and `closed_below` is not given.
+            InvalidConfigError: the gripper reports numbers, and `closed_below` is not given.
         """
         while not self._closed:
             alone = self.counts.alone
@@ -153,18 +153,18 @@ class Ros2Source:
                 raise InvalidRecordingError(self._why_silent(self.counts.alone - alone))
 
     def take(self, wait_s: float) -> LivePicture | None:
-        """Return the newest picture that was not given out yet; older ones are dropped.
+        """Return the newest picture that was not returned yet; older ones are dropped.
 
         Args:
-            wait_s: how long to wait for one [s]. A caller that reports a stalled camera waits for
-                as long as that may be unnoticed, and asks again.
+            wait_s: how long to wait for one [s]. To report a stalled camera, wait for the longest
+                acceptable delay of the report, and call again.
 
         Returns:
-            The picture, or None when none came in this time or the source was closed.
+            The picture, or None if none came in this time or the source was closed.
 
         Raises:
             InvalidRecordingError: the clock of depth was set back.
-            InvalidConfigError: the gripper tells numbers, and `closed_below` is not given.
+            InvalidConfigError: the gripper reports numbers, and `closed_below` is not given.
         """
         deadline_s = time.monotonic() + wait_s
         while True:
@@ -179,11 +179,11 @@ class Ros2Source:
                 self._participant.wait(min(left_s, _POLL_S if self._queue.waits else _LOOK_AGAIN_S))
 
     def stamp_ns(self, time_s: float) -> int:
-        """Return the stamp [ns] that a picture of this time [s] had in its header."""
+        """Return the header stamp [ns] of the picture at this time [s]."""
         return self.start_ns + round(time_s * 1e9)
 
     def close(self) -> None:
-        """Leave the domain; another thread that waits for a picture gets none."""
+        """Leave the domain; a thread that waits for a picture gets None."""
         self._closed = True
         with self._lock:
             self._readers.clear()
@@ -232,10 +232,11 @@ class Ros2Source:
         return intrinsics_of(self._names["camera_info"], self._info, rectified=rectified)
 
     def _check_first_pictures(self) -> str:
-        """Refuse pictures that cannot be decoded or are not of the intrinsics' size.
+        """Refuse pictures that cannot be decoded or differ in size from the intrinsics.
 
         Returns:
-            Frame of the pictures: color's where there is color, to which depth is registered.
+            The frame of the pictures: that of color, to which depth is registered, or that of depth
+            without color.
         """
         frame = ""
         for part in (part for part in ("depth", "color") if part in self._names):
@@ -249,7 +250,7 @@ class Ros2Source:
         return frame
 
     def _find_pose(self, frame: str) -> Float[np.ndarray, "4 4"]:
-        """Return the camera's pose from TF; its frame is the world where no other was named."""
+        """Return the camera pose from TF; the camera's frame is the world if none is given."""
         world, tree = self._robot.world, self._robot.tree
         if not world:
             self._robot.world = frame
@@ -265,7 +266,7 @@ class Ros2Source:
         return tree.lookup(world, frame, np.array([self._first["depth"].stamp_ns]))[0]
 
     def _await(self, ready: Callable[[], _Found | None], problem: Callable[[], str]) -> _Found:
-        """Listen until something is there; the error says what it was that did not come."""
+        """Listen until `ready` returns a value; otherwise raise an error that names the problem."""
         deadline_s = time.monotonic() + self._config.patience_s
         while True:
             self._listen()
@@ -277,7 +278,7 @@ class Ros2Source:
             self._participant.wait(_LOOK_AGAIN_S / 5)
 
     def _silence(self, parts: Iterable[str]) -> str:
-        """Say which topics told nothing, those that nobody publishes first, and which there are."""
+        """Return a message that lists silent topics, unpublished first, and existing topics."""
         seen = self._participant.publications()
         names = [self._names[part] for part in parts]
         names = [name for name in names if name not in seen] or names
@@ -297,7 +298,7 @@ class Ros2Source:
         )
 
     def _listen(self) -> None:
-        """Take every message that has come."""
+        """Take every message that has arrived."""
         now_s = time.monotonic()
         for part in _ORDER:
             reader = self._readers.get(part)
@@ -341,10 +342,10 @@ class Ros2Source:
                 logger.warning("%s: a picture is left out (%s)", self._names["depth"], error)
 
     def _decoded(self, part: str, received: Received) -> tuple[np.ndarray, str]:
-        """Return a picture without distortion, and its frame.
+        """Return an undistorted picture and its frame.
 
         Raises:
-            TruncatedError: it is damaged, or of another size or encoding.
+            TruncatedError: the picture is damaged, or has another size or encoding.
         """
         message = decode(Topic(self._names[part], IMAGE, cdr=True), received.data)
         depth = part == "depth"

@@ -1,4 +1,4 @@
-"""Which ROS 2 topics a live source reads, and how it joins them."""
+"""Configuration of a live ROS 2 source: its topics, and how they are joined."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,17 @@ from clothtrack.errors import InvalidConfigError
 
 @dataclass(frozen=True)
 class Ros2Topics:
-    """Which topics tell what.
+    """The topics of a live source.
 
     Attributes:
-        depth: Image, 16UC1 or 32FC1, registered to color.
-        color: Image of the same size, such as rgb8 or bgr8; None for depth alone.
+        depth: depth Image, 16UC1 or 32FC1, registered to color.
+        color: color Image of the same size, such as rgb8 or bgr8; None for depth alone.
         camera_info: intrinsics of these pictures.
-        pose: of the tool's tip: PoseStamped, PoseWithCovarianceStamped, PointStamped,
+        pose: pose of the tool's tip: PoseStamped, PoseWithCovarianceStamped, PointStamped,
             TransformStamped or Odometry.
         tool_frame: TF frame of the tool's tip, instead of `pose`.
-        gripper: Bool (true is closed), Float32, Float64 or JointState.
-        world_frame: TF frame that is the world. None: poses are in the world as they come.
+        gripper: gripper state: Bool (true is closed), Float32, Float64 or JointState.
+        world_frame: TF frame of the world; None if poses are already in the world.
     """
 
     depth: str = "/camera/aligned_depth_to_color/image_raw"
@@ -33,15 +33,15 @@ class Ros2Topics:
 
 @dataclass(frozen=True)
 class Ros2SourceConfig:
-    """How messages are read and joined.
+    """Settings for reading and joining messages.
 
     Attributes:
-        depth_unit_m: meters per count of 16UC1 [m]; ROS says millimeters (REP 118).
-        closed_below: the gripper's number, or sum of joints, below which it is closed.
-        tolerance_s: how far apart the stamps of depth and color may be [s].
-        hold_s: how long a picture waits for its color and for the pose at its time [s].
-        stall_s: how old the pose may be [s]; beyond it the picture comes without a picker.
-        patience_s: how long a topic may be silent before an error says so [s].
+        depth_unit_m: meters per count of 16UC1 [m]; ROS prescribes millimeters (REP 118).
+        closed_below: value of the gripper, or sum of its joints, below which it is closed.
+        tolerance_s: largest difference of the stamps of depth and color [s].
+        hold_s: how long a picture waits for its color and its pose [s].
+        stall_s: largest age of the pose [s]; beyond it the picture is returned without a picker.
+        patience_s: longest silence of a topic before an error is raised [s].
     """
 
     depth_unit_m: float = 0.001
@@ -52,7 +52,7 @@ class Ros2SourceConfig:
     patience_s: float = 5.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no time and no unit.
+        """Refuse invalid times and units.
 
         Raises:
             InvalidConfigError: with the field and its value.

@@ -1,1 +1,1 @@
-"""What `import clothtrack_lab` does, and the command line too; loads no stage by itself."""
+"""The functions of `import clothtrack_lab` and its command line; stages are loaded on use."""

@@ -24,24 +24,25 @@ def train_dynamics(
 ) -> "TrainingOutcome":
     """Train the mesh dynamics of `flatten --dynamics mesh` on roll-outs of our simulator.
 
-    The same call goes on where an interrupted one stopped.
+    The same call resumes an interrupted run.
 
     Args:
-        output: folder for roll_outs/GARMENT/ and model/best.safetensors, with its card.
-        garments: what is rolled out; one network learns from all of them.
-        roll_outs: at least so many of each garment, in whole shards; finished ones are kept.
-        settings: changes, such as loop.epochs=20 or network.width=64; those that begin with
-            roll_outs. are of the roll-outs.
-        workers: processes that make roll-outs.
-        device: where to train: "cpu" or "cuda:0".
-        seed: of roll-outs, weights and order.
-        progress: called after every shard and step.
+        output: folder for roll_outs/GARMENT/ and model/best.safetensors with its card.
+        garments: kinds of garments to roll out; one network is trained on all of them.
+        roll_outs: least number of roll-outs of each garment, in whole shards; finished ones are
+            kept.
+        settings: changes, such as loop.epochs=20 or network.width=64; the prefix roll_outs. changes
+            the roll-outs.
+        workers: number of processes that make roll-outs.
+        device: device to train on: "cpu" or "cuda:0".
+        seed: seed of roll-outs, weights and order.
+        progress: function called after every shard and step.
 
     Returns:
-        How the training ended, and its weights.
+        The outcome of the training and its weights.
 
     Raises:
-        InvalidConfigError: no garment is named, a setting is not known, or another run writes to
+        InvalidConfigError: no garment is given, a setting is unknown, or another run writes to
             `output`.
     """
     from dataclasses import replace
@@ -50,7 +51,7 @@ def train_dynamics(
     from clothtrack.files.output_lock import locked_output
     from clothtrack.files.settings import with_settings
 
-    # What cannot be trained is refused before anything is rolled out.
+    # Check that training is possible before making any roll-outs.
     require_learning()
     from clothtrack.reconstruction.training.processes import require_torch_device
     from clothtrack_lab.graph_dynamics.mesh_training import (
@@ -66,7 +67,7 @@ def train_dynamics(
     output = Path(output)
     mine = [one for one in settings if not one.startswith("roll_outs.")]
     theirs = [one.removeprefix("roll_outs.") for one in settings if one.startswith("roll_outs.")]
-    # Named twice, its shards would be learned from and held out at once.
+    # A repeated garment would have its shards both trained on and held out.
     kinds = tuple(dict.fromkeys(garments))
     if not kinds:
         raise InvalidConfigError("garments names nothing; give towel, tshirt or both")

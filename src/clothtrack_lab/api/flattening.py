@@ -21,17 +21,17 @@ Policy = Literal["planned", "random", "outwards", "heuristic"]
 
 @dataclass(frozen=True)
 class Episode:
-    """What became of an episode.
+    """The outcome of an episode.
 
     Attributes:
-        summary: as JSON holds it; the report's place, the improvement after each action, the
-            status, and whether it is a control.
+        summary: JSON content: the report's path, the improvement after each action, the status, and
+            whether it is a control.
     """
 
     summary: dict[str, Any]
 
     def text(self) -> str:
-        """Return one line."""
+        """Return a one-line summary."""
         row = self.summary
         control = "   CONTROL" if row["control"] else ""
         return (
@@ -46,16 +46,16 @@ class Episode:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a dry run plans.
+    """The plan of a dry run.
 
     Attributes:
-        picture: of the action.
+        picture: picture of the action.
     """
 
     picture: Path
 
     def text(self) -> str:
-        """Return where it is."""
+        """Return a message with its path."""
         return str(self.picture)
 
     as_dict = text
@@ -75,7 +75,7 @@ def _flattening_config(
     """Return the configuration that `flatten_many` uses; the arguments are the same.
 
     Raises:
-        InvalidConfigError: a setting is not known, weights are missing, or an extra is.
+        InvalidConfigError: a setting is unknown, or weights or an extra are missing.
     """
     from clothtrack.api.learning_extra import require_learning
     from clothtrack.files.settings import with_settings
@@ -123,41 +123,41 @@ def flatten_many(
 ) -> Many[Episode | Plan]:
     """Flatten a crumpled garment in the simulated world: perceive, plan, act, and look again.
 
-    With --recording nothing moves: one action is planned for its last picture and written down.
+    With --recording nothing moves; one action is planned for its last picture and saved.
 
     Args:
-        output: folder for episodes/, recordings/, truth/ and one report per episode; an
-            interrupted episode goes on with the same command.
-        garment: what lies on the table.
-        template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
+        output: folder for episodes/, recordings/, truth/ and one report per episode; the same
+            command resumes an interrupted episode.
+        garment: kind of garment on the table.
+        template: mesh of this garment (`clothtrack garment`), with one layer for a towel and two
             for a tshirt.
-        garment_seed: the same garment in every episode, of a cut, size and thickness that no
-            shipped network was trained on; SEED draws start, noise and candidates alone.
-        recording: plan for its last picture, and move nothing (a dry run).
-        perception: the network's mesh of each picture; truth is a control (an upper bound, no
-            result) and simulated only.
-        weights: of the reconstruction network; the ones that come with clothtrack by default.
-        policy: planned; or, without any mesh, random actions, the place farthest off the cloth of
-            a hundred, or the farthest corner outwards.
-        dynamics: what a plan is tried in: our simulator, or the learned mesh dynamics.
-        dynamics_weights: of the learned ones (`clothtrack_lab.train_dynamics`); the ones that come
-            with clothtrack by default.
-        actions: most actions of an episode.
-        episodes: how many, with the seeds SEED, SEED + 1 and so on.
-        workers: processes; each runs one episode at a time.
-        ray: address of Ray, which is to do it; 'local' for this machine.
-        live: show it in a browser while it happens, on this machine only.
+        garment_seed: use the same garment in every episode, with a cut, size and thickness that no
+            shipped network was trained on; SEED then draws only start, noise and candidates.
+        recording: plan for the last picture of this recording without moving anything (a dry run).
+        perception: source of the mesh of each picture: the network, or, only in simulation, the
+            truth, which is a control (an upper bound, not a result).
+        weights: weights of the reconstruction network; the shipped ones by default.
+        policy: planned, or one of the policies without a mesh: random actions, the place farthest
+            off the cloth out of a hundred, or the farthest corner pulled outwards.
+        dynamics: dynamics used for planning: our simulator, or the learned mesh dynamics.
+        dynamics_weights: weights of the learned dynamics (`clothtrack_lab.train_dynamics`); the
+            shipped ones by default.
+        actions: largest number of actions per episode.
+        episodes: number of episodes, with the seeds SEED, SEED + 1 and so on.
+        workers: number of processes; each runs one episode at a time.
+        ray: address of the Ray cluster to run on; 'local' for this machine.
+        live: show the episode live in a browser, on this machine only.
         settings: changes, such as planner.candidates=300 or planner.strip_m=0.
-        device: where to compute: cpu, or cuda:0.
-        seed: of garment, start, noise and candidates.
-        progress: called with every action (in one process) or after every episode.
-        opened: called with the page's address.
-        each: called with each episode as it ends.
+        device: device to compute on: cpu, or cuda:0.
+        seed: seed of garment, start, noise and candidates.
+        progress: function called with every action (in one process) or after every episode.
+        opened: function called with the page's address.
+        each: function called with each episode as it ends.
 
     Raises:
-        InvalidConfigError: what is asked for excludes itself, or another run writes to `output`.
+        InvalidConfigError: the options contradict each other, or another run writes to `output`.
         InvalidResultError: weights are missing or damaged, or there is no plan.
-        ClothTrackError: an episode failed, after all others; or a worker died.
+        ClothTrackError: an episode failed (raised after all others have ended), or a worker died.
     """
     from clothtrack.geometry.devices import quiet_warp
 
@@ -189,7 +189,7 @@ def flatten_many(
     from clothtrack_lab.flattening import episode_parts
     from clothtrack_lab.many_episodes import run_episodes
 
-    # Before the first start is made and the page is served: weights may be missing.
+    # Load the parts before making a start and serving the page, because weights may be missing.
     parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
     found = []
     with watched_live(opened=opened) if live else nullcontext() as watch:
@@ -208,7 +208,7 @@ def flatten_many(
 def _dry_run(
     output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
 ) -> tuple[Plan, ...]:
-    """Plan one action for the last picture of a recording; the pictures of the plan."""
+    """Plan one action for the last picture of a recording; return the pictures of the plan."""
     require_lab()
     from clothtrack_lab.flattening import plan_flattening
 

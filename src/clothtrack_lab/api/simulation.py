@@ -1,4 +1,4 @@
-"""Record in the simulated world, make the benchmark, or crumple garments to learn from."""
+"""Record in the simulated world, make the benchmark, or crumple garments for training."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Simulated(Result):
-    """What was simulated.
+    """The output of a simulation.
 
     Attributes:
-        folders: of the recordings, or of the shards of states.
+        folders: folders of the recordings, or of the shards of states.
     """
 
     folders: tuple[Path, ...] = ()
 
     def __iter__(self) -> Iterator[Path]:
-        """Give the folders."""
+        """Iterate over the folders."""
         return iter(self.folders)
 
 
@@ -49,33 +49,34 @@ def simulate(
     seed: int = 0,
     progress: "Progress | None" = None,
 ) -> Simulated:
-    """Record in a simulated world; or, with --states, crumple garments for a network to learn from.
+    """Record in a simulated world, or, with --states, crumple garments for training a network.
 
     Args:
-        output: folder for recordings/ and truth/, or shards/; what is finished there is kept.
-        garment: what lies on the table; trousers only with --states.
-        trajectories: how many recordings, 1 by default; they get the seeds SEED, SEED + 1, ...
+        output: folder for recordings/ and truth/, or shards/; finished items are kept.
+        garment: kind of garment on the table; trousers only with --states.
+        trajectories: number of recordings, 1 by default, with the seeds SEED, SEED + 1, ...
         actions: pick-and-places per recording, 3 by default.
-        template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
+        template: mesh of this garment (`clothtrack garment`), with one layer for a towel and two
             for a tshirt.
-        garment_seed: one garment for all recordings, before one camera, of a cut, size and
-            thickness that no shipped network was trained on; its recordings are KIND_gNNNN_SEED.
-        small: one action with a napkin before a small camera, in a few seconds.
-        states: record nothing; make at least so many labeled states with our own solver.
-        benchmark: record the benchmark, or a part: 20 trajectories to tune on (dev), 30 to score
-            (test), 10 hard ones. It has its own garments and seeds.
-        printed: the benchmark with a print on the cloth, in a folder of its own.
-        settings: changes to what is recorded, such as sensor.width=320 or vertex_count=300.
-        workers: processes.
-        ray: address of Ray, which is to do it; 'local' for this machine.
-        seed: of garment, pose, actions, camera and noise.
-        progress: called first, and after each recording.
+        garment_seed: use one garment and one camera for all recordings, with a cut, size and
+            thickness that no shipped network was trained on; the recordings are named
+            KIND_gNNNN_SEED.
+        small: record one action with a napkin and a small camera, in a few seconds.
+        states: record nothing, and make at least this many labeled states with our own solver.
+        benchmark: record the benchmark or a part of it: 20 trajectories for tuning (dev), 30 for
+            scoring (test), 10 hard ones. It has its own garments and seeds.
+        printed: record the benchmark with a print on the cloth, in a separate folder.
+        settings: changes to the configuration, such as sensor.width=320 or vertex_count=300.
+        workers: number of processes.
+        ray: address of the Ray cluster to run on; 'local' for this machine.
+        seed: seed of garment, pose, actions, camera and noise.
+        progress: function called at the start and after each recording.
 
     Returns:
-        What was made; iterating over it gives the folders of the recordings.
+        The output; iterating over it gives the folders of the recordings.
 
     Raises:
-        InvalidConfigError: what is asked for excludes itself, or a setting is not known.
+        InvalidConfigError: the options contradict each other, or a setting is unknown.
     """
     output = Path(output)
     given = {
@@ -130,7 +131,7 @@ def _world(
     *,
     small: bool,
 ) -> tuple[Any, Any]:
-    """What is recorded, and the one garment, if there is one."""
+    """Return the episode configuration, and the single garment, if there is one."""
     from dataclasses import replace
 
     from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig
@@ -154,7 +155,7 @@ def _crumple(
     ray: str,
     progress: "Progress | None",
 ) -> Simulated:
-    """Labeled states, by our own solver."""
+    """Make labeled states with our own solver."""
     from clothtrack.files.settings import with_settings
     from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 
@@ -176,7 +177,7 @@ def _benchmark(
     ray: str,
     progress: "Progress | None",
 ) -> Simulated:
-    """The benchmark, or a part of it."""
+    """Make the benchmark or a part of it."""
     require_lab()
     from clothtrack_lab.world import bench as contents
     from clothtrack_lab.world import bench_generation as generation
@@ -191,7 +192,7 @@ def _benchmark(
 
 
 def _refuse(given: dict[str, Any], meant: tuple[str, ...], why: str) -> None:
-    """Refuse what would mean nothing, rather than leave it out silently."""
+    """Refuse options that have no effect, instead of ignoring them silently."""
     wrong = [name for name, value in given.items() if value is not None and name not in meant]
     if wrong:
         names = " and ".join(f"--{name.replace('_', '-')}" for name in wrong)

@@ -1,4 +1,4 @@
-"""What is only compared with: none of it is part of the method."""
+"""Baselines for comparison, which are not part of the method."""
 
 from typing import TYPE_CHECKING
 

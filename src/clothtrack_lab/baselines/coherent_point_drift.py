@@ -1,11 +1,11 @@
-"""A model-free peer: coherent point drift with a projection onto the edge lengths.
+"""A model-free baseline: coherent point drift with a projection onto the edge lengths.
 
-In the manner of CDCPD (Chi and Berenson, "Occlusion-robust deformable object tracking without
-physics simulation", IROS 2019), without its commercial solver: the visible vertices drift
-coherently to the cloud (Myronenko and Song, DOI 10.1109/TPAMI.2010.46; the registration itself is
-biocpd's), the hidden ones follow the same smooth field, held vertices follow the tool, and then
-edges that became too long are shortened. No gravity, no contact, no friction: what a simulator
-brings is what this lacks.
+The method follows CDCPD (Chi and Berenson, "Occlusion-robust deformable object tracking without
+physics simulation", IROS 2019), without its commercial solver. The visible vertices drift
+coherently to the cloud (Myronenko and Song, DOI 10.1109/TPAMI.2010.46; biocpd does the
+registration). The hidden ones follow the same smooth field, held vertices follow the tool, and then
+edges that became too long are shortened. In contrast to a simulator it has no gravity, contact or
+friction.
 """
 
 from collections.abc import Callable
@@ -36,10 +36,10 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 @dataclass(frozen=True, eq=False)
 class Vertices:
-    """Where a cloth without dynamics is: a state, and the prediction that it stays.
+    """The state of a cloth without dynamics, which is also its prediction.
 
     Attributes:
-        positions: vertices in the world [m].
+        positions: vertex positions in the world [m].
     """
 
     positions: Float[np.ndarray, "1 vertices 3"]
@@ -48,37 +48,36 @@ class Vertices:
 
     @property
     def state(self) -> "Vertices":
-        """Itself."""
+        """The state itself."""
         return self
 
     @property
     def started_at(self) -> Float[np.ndarray, "1 vertices 3"]:
-        """Where it was before: here."""
+        """The positions before, which are the same."""
         return self.positions
 
 
 _ALPHA, _BETA_M = 3.0, 0.1
-"""Weight of coherence against fit (0.5 in CDCPD), and width [m] of the kernel within which vertices
-move alike."""
+"""Weight of coherence against fit (0.5 in CDCPD), and width of the kernel within which vertices
+move together [m]."""
 
 _LENGTHS = 0.95, 1.0
-"""Bounds of an edge, as shares of its length in the first mesh; CDCPD bounds it from above alone.
-
-These and the two above were chosen by the true error of one action of a towel and one of a T-shirt,
-out of 12 combinations; CDCPD's alpha and one-sided lengths did worse."""
+"""Bounds of an edge, as shares of its length in the first mesh; CDCPD has only an upper bound.
+These and the two values above were chosen out of 12 combinations by the true error of one action of
+a towel and one of a T-shirt; CDCPD's alpha and one-sided lengths did worse."""
 
 _SWEEPS = 20
-"""Passes over all edges."""
+"""Number of passes over all edges."""
 
 _OUTLIERS = 0.1
 """Share of the cloud that is not cloth, as in CDCPD."""
 
 _START_SIGMA_M = 0.01
-"""Standard deviation that a frame's registration starts from [m]: how far the cloth may move
-between frames."""
+"""Initial standard deviation of a frame's registration [m]: how far the cloth may move between
+frames."""
 
 _REST_HEIGHT_M = 0.0015
-"""No vertex lies lower over the table [m]."""
+"""Least height of a vertex above the table [m]."""
 
 _VISIBILITY_WIDTH = 320
 """Width of the z-buffer that decides visibility [pixels]."""
@@ -86,13 +85,13 @@ _VISIBILITY_WIDTH = 320
 
 @dataclass(frozen=True)
 class PeerConfig:
-    """Settings of the peer.
+    """The settings of the baseline.
 
     Attributes:
-        iterations: most steps of expectation and maximization per frame.
-        modes: of the kernel's low-rank form.
-        neighbors: nearest cloud points that a vertex may correspond to.
-        use_tool: held vertices follow the tool, as CDCPD's grasped points do.
+        iterations: largest number of expectation-maximization steps per frame.
+        modes: number of modes of the kernel's low-rank form.
+        neighbors: number of nearest cloud points that a vertex may correspond to.
+        use_tool: whether held vertices follow the tool, like CDCPD's grasped points.
     """
 
     iterations: int = 30
@@ -109,14 +108,14 @@ def follow(
     *,
     device: str = "cpu",
 ) -> TrackedTrajectory:
-    """Follow the cloth through a recording without dynamics; shaped like the tracker's result.
+    """Track the cloth in a recording without dynamics; the result has the tracker's format.
 
     Args:
-        recording: what was recorded.
-        mesh: the flat first mesh in the world [m].
-        observe: turns a frame into a cloud.
-        config: settings of the peer.
-        device: "cpu" or "cuda:0", for visibility.
+        recording: recording to track.
+        mesh: flat first mesh in the world [m].
+        observe: function that turns a frame into a cloud.
+        config: settings of the baseline.
+        device: device for visibility, "cpu" or "cuda:0".
     """
     cameras = tuple(camera.resized(_VISIBILITY_WIDTH) for camera in recording.cameras)
     visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=0.003, device=device)
@@ -150,12 +149,12 @@ def drifted(
     cloud: Float[np.ndarray, "points 3"],
     config: PeerConfig,
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Vertices [m] after the visible ones drifted coherently to the cloud, the others with them."""
+    """Return the vertices [m] after a coherent drift of the visible ones to the cloud."""
     if seen.sum() < config.modes or len(cloud) < config.neighbors:
         return vertices
     from biocpd import DeformableRegistration
 
-    # In units of the kernel's width, so that single precision has digits to spare.
+    # Use the kernel's width as the unit, so that single precision is accurate enough.
     middle, unit = vertices.mean(axis=0), _BETA_M
     source, target = (vertices - middle) / unit, (cloud - middle) / unit
     registration = DeformableRegistration(
@@ -181,22 +180,23 @@ def _carried(
     seen: Bool[np.ndarray, " vertices"],
     drift: Float[np.ndarray, "seen 3"],
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Return the drift of all vertices; occluded ones take the kernel mean of visible ones."""
+    """Return the drift of all vertices; hidden ones take the kernel mean of visible ones."""
     motion = np.zeros(source.shape)
     motion[seen] = drift
     if not seen.all():
         squared = ((source[~seen, None] - source[None, seen]) ** 2).sum(axis=2)
-        # Much narrower than the kernel, so that a hidden vertex goes with what lies over it.
+        # The weights are much narrower than the kernel, so that a hidden vertex follows the layer
+        # over it.
         weights = np.exp(-8.0 * (squared - squared.min(axis=1, keepdims=True)))
         motion[~seen] = weights @ drift / weights.sum(axis=1, keepdims=True)
     return motion
 
 
 class _Projection:
-    """Takes the whole correction, holds what the tool holds, and puts edges and table right."""
+    """A projection that applies the whole correction, then enforces tool, edges and table."""
 
     def __init__(self, mesh: ClothMesh, table: Table | None) -> None:
-        """Take the rest lengths from the first mesh."""
+        """Compute the rest lengths from the first mesh."""
         self._edges, self._table = EdgeLengths(mesh), table
 
     def __call__(
@@ -207,7 +207,7 @@ class _Projection:
         predicted: Vertices,  # noqa: ARG002
         correction: Correction | None,
     ) -> Corrected:
-        """Return the vertices after one frame; there are no dynamics to ask."""
+        """Return the vertices after one frame, without dynamics."""
         assert correction is not None
         vertices = correction.start + correction.displacement
         fixed = np.zeros(len(vertices), bool)
@@ -220,7 +220,7 @@ class _Projection:
 
 
 class _Still:
-    """Frozen dynamics: without a correction the cloth stays where it is."""
+    """Static dynamics: without a correction the cloth does not move."""
 
     def __call__(
         self,
@@ -235,7 +235,7 @@ class _Still:
 
 
 class _Tool(HeldCloth):
-    """The tool as the peer sees it: where it is at the end of a frame."""
+    """The tool as the baseline uses it: its position at the end of a frame."""
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
         """Return the held vertices at the tip of each tool that is closed at the end."""
@@ -256,16 +256,16 @@ def _pick(
     mesh: ClothMesh,
     hold: type[HeldCloth],
 ) -> HeldCloth:
-    """Return what the tool holds."""
+    """Return the vertices that the tool holds."""
     grasps = find_grasps(recording, action, mesh.with_vertices(state.positions[0]))
     return hold(grasps, np.zeros(3))
 
 
 class EdgeLengths:
-    """Puts edges right that became too long or short, color by color (Gauss-Seidel)."""
+    """A projection of edges onto their length bounds, color by color (Gauss-Seidel)."""
 
     def __init__(self, mesh: ClothMesh) -> None:
-        """Take the rest lengths from the first mesh, and color its edges."""
+        """Compute the rest lengths from the first mesh, and color its edges."""
         self._edges = np.asarray(mesh.edges)
         self._rest = np.asarray(mesh.edge_lengths, np.float64)
         self._colors = _edge_colors(self._edges, len(mesh.vertices))
@@ -278,13 +278,13 @@ class EdgeLengths:
         lengths: tuple[float, float],
         sweeps: int,
     ) -> Float[np.ndarray, "vertices 3"]:
-        """Return the vertices [m] after so many passes over all edges; `fixed` ones stay.
+        """Return the vertices [m] after `sweeps` passes over all edges; `fixed` ones stay.
 
         Args:
-            vertices: before [m].
-            fixed: which of them stay where they are.
-            lengths: least and largest length of an edge, as shares of its rest length.
-            sweeps: how many passes.
+            vertices: vertices before the projection [m].
+            fixed: whether each vertex is fixed.
+            lengths: smallest and largest length of an edge, as shares of its rest length.
+            sweeps: number of passes.
         """
         shortest, longest = lengths
         vertices = np.array(vertices, np.float64)
@@ -303,7 +303,7 @@ class EdgeLengths:
 
 
 def _edge_colors(edges: Int[np.ndarray, "edges 2"], count: int) -> list[Int[np.ndarray, " of"]]:
-    """Return the sets of edges that share no vertex, first fit."""
+    """Return sets of edges that share no vertex, by first fit."""
     used: list[set[int]] = [set() for _ in range(count)]
     colors: list[list[int]] = []
     for number, (a, b) in enumerate(edges.tolist()):

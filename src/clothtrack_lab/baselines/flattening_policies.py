@@ -1,6 +1,6 @@
-"""Flattening without a mesh: what a planner must beat.
+"""Flattening policies without a mesh, as baselines for the planner.
 
-Each policy proposes actions for what is seen, the best first (`planning.flattening.Propose`).
+Each policy proposes actions for the visible cloth, best first (`planning.flattening.Propose`).
 """
 
 import numpy as np
@@ -18,20 +18,20 @@ from clothtrack.planning.flattening import Propose
 from clothtrack.planning.planner import PlannerConfig
 
 _RANDOM_TRIES = 20
-"""Random actions that a robot may refuse, one after the other, before a policy gives up."""
+"""Number of random actions that a robot may refuse in a row before a policy gives up."""
 
 
 def _random_actions(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
-    """Return random actions of those that the planner tries."""
+    """Return random actions from the planner's action space."""
     return sample_actions(seen, _RANDOM_TRIES, config.space, rng)
 
 
 def _farthest_off_cloth(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
-    """As many actions as the planner tries, the one that is placed farthest off the cloth first."""
+    """Return as many actions as the planner tries, those placed farthest off the cloth first."""
     tried = sample_actions(seen, config.candidates, config.space, rng)
     return [tried[k] for k in np.argsort(-off_cloth(seen, tried), kind="stable")]
 
@@ -39,7 +39,7 @@ def _farthest_off_cloth(
 def _corner_outwards(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
-    """Return the geometric heuristic (`farthest_corner`); nothing is drawn."""
+    """Return the action of the geometric heuristic (`farthest_corner`), which is not random."""
     del rng
     action = farthest_corner(seen, config.space)
     return [] if action is None else [action]
@@ -54,14 +54,13 @@ POLICIES: dict[str, Propose] = {
 
 
 def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
-    """Return the pull of the corner that is farthest from the middle, straight outwards.
+    """Return the action that pulls the corner farthest from the middle straight outwards.
 
-    The longest allowed path is taken. Corners are tried from the farthest on until one may be
-    pulled.
+    The pull is as long as allowed. Corners are tried from the farthest on until one can be pulled.
 
     Args:
-        seen: the cloth as it is seen.
-        space: the limits.
+        seen: visible cloth.
+        space: limits of the actions.
     """
     cloud = seen.cloud
     off = cloud[:, :2] - cloud[:, :2].mean(axis=0)

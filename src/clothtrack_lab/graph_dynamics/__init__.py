@@ -1,1 +1,1 @@
-"""The published method's learned dynamics: a graph network over the mesh."""
+"""Learned dynamics of the published method: a graph network over the mesh."""

@@ -1,6 +1,6 @@
-"""The card of learned mesh dynamics: what they learned from, how well they do, what they cannot.
+"""The model card of learned mesh dynamics: training data, accuracy and limits.
 
-Written beside the weights from what the weights file and the roll-outs know.
+It is written next to the weights, from the content of the weights file and the roll-outs.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ _LIMITS = """\
 
 
 def _learned_in_words(whole: Mapping[str, float]) -> str:
-    """Return how much of it is learned, where both are known."""
+    """Return how much of the motion is learned, if both measures are known."""
     if "whole_untrained_mm" not in whole:
         return ""
     alone, whole_mm = whole["whole_untrained_mm"], whole["whole_error_mm"]
@@ -34,11 +34,11 @@ def _learned_in_words(whole: Mapping[str, float]) -> str:
 def write_dynamics_card(
     weights: Weights, whole: Mapping[str, float], cpu_s: float, made: Mapping[str, Any]
 ) -> Path:
-    """Write the card beside the weights, whole or not at all.
+    """Write the card next to the weights, completely or not at all.
 
     Args:
-        weights: as they were written.
-        whole: measures of whole roll-outs that training never saw, by name.
+        weights: weights as written.
+        whole: measures of whole roll-outs not used in training, by name.
         cpu_s: CPU time of the training [s].
         made: versions and machine (`provenance.made_with`, and the device).
 

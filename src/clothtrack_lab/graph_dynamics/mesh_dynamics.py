@@ -1,6 +1,6 @@
-"""Learned mesh dynamics behind the planner's protocol; needs the extra [learn].
+"""Learned mesh dynamics with the planner's protocol; needs the extra [learn].
 
-Importing this module imports PyTorch: nothing else in planning does.
+Importing this module imports PyTorch, which nothing else in planning does.
 """
 
 import math
@@ -32,12 +32,12 @@ from clothtrack_lab.graph_dynamics.roll_outs import LEARNED_MESH
 
 @dataclass(frozen=True)
 class MeshDynamicsConfig:
-    """How the learned dynamics are asked.
+    """The settings of predictions by the learned dynamics.
 
     Attributes:
-        motion: of the tip; its time step is the model's.
-        together: about how many candidates are rolled out at once on a processor, whose caches
-            few fit; a GPU takes them all.
+        motion: motion of the tip; its time step is the model's.
+        together: approximate number of candidates rolled out at once on a CPU, whose caches hold
+            few; a GPU takes them all.
     """
 
     motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.2))
@@ -45,7 +45,7 @@ class MeshDynamicsConfig:
 
 
 class MeshDynamics:
-    """The graph network as dynamics of a planner."""
+    """The graph network as dynamics for a planner."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class MeshDynamics:
         *,
         device: str = "cpu",
     ) -> None:
-        """Put the network where it computes.
+        """Move the network to its device.
 
         Raises:
             InvalidConfigError: the motion's time step is not the network's.
@@ -74,10 +74,10 @@ class MeshDynamics:
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """Return the vertices [m] after each of the actions and a rest.
+        """Return the vertices [m] after each action and a rest.
 
-        What nobody takes stays where it is. Left alone, this cloth would go on to unfold, and no
-        action would promise as much as none.
+        An action that grasps nothing leaves the cloth unchanged. These dynamics would let the cloth
+        unfold on its own, and then doing nothing would have the highest predicted gain.
         """
         if not actions:
             return np.zeros((0, cloth.flat.vertex_count, 3))
@@ -92,14 +92,14 @@ class MeshDynamics:
         return ends
 
     def _placed(self, cloth: PlannedCloth) -> np.ndarray:
-        """Return the vertices [m] with none under the table."""
+        """Return the vertices [m], raised to the table's resting height where they are lower."""
         placed = np.array(cloth.positions, dtype=np.float64)
         lowest = cloth.table_height_m + RESTING_HEIGHT_M
         placed[:, 2] = np.maximum(placed[:, 2], lowest)
         return placed
 
     def _rolled(self, cloth: PlannedCloth, held: HeldPaths) -> np.ndarray:
-        """Return some of the candidates."""
+        """Return the vertices [m] after some of the candidates."""
         config, device = self.config, self._device
         lowest = cloth.table_height_m + RESTING_HEIGHT_M
         start = torch.tensor(self._placed(cloth), dtype=torch.float32, device=device)
@@ -126,7 +126,7 @@ class MeshDynamics:
 
 
 def springs_of(flat: ClothMesh) -> Springs:
-    """Return the edges of a flat garment, for the network."""
+    """Return the edges of a flat garment as the network's input."""
     edges, lengths = np.asarray(flat.edges), np.asarray(flat.edge_lengths, dtype=np.float64)
     graph = coo_matrix((lengths, edges.T), shape=(flat.vertex_count, flat.vertex_count))
     along = dijkstra(graph.tocsr(), directed=False)
@@ -138,14 +138,14 @@ def springs_of(flat: ClothMesh) -> Springs:
 
 
 def load_mesh_dynamics(path: Path, *, device: str = "cpu") -> MeshDynamics:
-    """Return learned dynamics from a weights file; nothing in it is executed.
+    """Return learned dynamics from a weights file; no code in it is executed.
 
     Args:
-        path: the weights.
-        device: where to compute.
+        path: weights file.
+        device: device to compute on.
 
     Raises:
-        InvalidResultError: it is missing, damaged, or of another network.
+        InvalidResultError: the file is missing, damaged, or of another network.
     """
     weights = load_weights(path)
     known = {one.name for one in fields(MeshNetworkConfig)}

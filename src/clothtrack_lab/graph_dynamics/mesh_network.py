@@ -1,8 +1,8 @@
 """The graph network that predicts accelerations on a coarse mesh (VCD and MEDOR, our own code).
 
-Inputs and sizes are those of the reference (method notes, Sec. 6.1); rest lengths are those of the
-flat garment, not of the first frame. A batch is dense: every cloth has the same mesh, candidates
-differ in where it is.
+Inputs and sizes are those of the reference (method notes, Sec. 6.1). Rest lengths are those of the
+flat garment, not of the first frame. A batch is dense: every cloth has the same mesh and differs
+only in its positions.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from clothtrack_lab.graph_dynamics.mesh_prior import (
     tethered,
 )
 
-# A weights file says how large its network is; one that was made to do harm must not take all
+# Weights files state the size of their network. The bounds keep a malicious one from using up all
 # memory.
 _Steps = Annotated[int, Bounds(least=1, most=64)]
 _StepsOrNone = Annotated[int, Bounds(least=0, most=64)]
@@ -29,32 +29,34 @@ _StepsOrNone = Annotated[int, Bounds(least=0, most=64)]
 
 @dataclass(frozen=True)
 class MeshNetworkConfig(Checked):
-    """Sizes and units of the graph network.
+    """The sizes and units of the graph network.
 
     Attributes:
-        width: of all hidden layers and latents.
-        message_steps: rounds of message passing.
-        history: past velocities that a vertex knows; the reference's are 5 of 0.05 s.
-        step_s: time of one step of the model [s]; the reference's 0.05 makes a plan take four
-            times as long.
-        collision_radius_m: vertices this near that share no edge get a collision edge, found anew
-            in every step [m]; the reference has 0.036, VCD 0.045, with the same 0.025 spacing.
-        length_scale_m: lengths are divided by this [m].
-        velocity_scale: velocities are divided by this [m/s].
-        acceleration_scale: the output is multiplied by this [m/s^2].
-        kept_velocity: share of its velocity that a vertex keeps where nothing is learned.
-        gravity: at which it falls then [m/s^2]; cloth floats, so it is less than the earth's.
-        parts: of a step; the gripper goes on in each, and the cloth follows.
-        dragging: times per part that what is near moves along (`dragged`).
-        projections: times per part that edges are brought nearer to their rest lengths
+        width: width of all hidden layers and latents.
+        message_steps: number of rounds of message passing.
+        history: number of past velocities per vertex; the reference has 5 of 0.05 s.
+        step_s: time step of the model [s]; with the reference's 0.05 planning takes four times as
+            long.
+        collision_radius_m: distance below which vertices that share no edge get a collision edge,
+            recomputed in every step [m]; the reference has 0.036, VCD 0.045, with the same 0.025
+            spacing.
+        length_scale_m: divisor of lengths [m].
+        velocity_scale: divisor of velocities [m/s].
+        acceleration_scale: factor on the output [m/s^2].
+        kept_velocity: share of its velocity that a vertex keeps without the network's output.
+        gravity: acceleration of its fall then [m/s^2]; less than the earth's, because cloth floats.
+        parts: number of parts of a step; the gripper moves in each, and the cloth follows.
+        dragging: number of times per part that nearby vertices are dragged along (`dragged`).
+        projections: number of projections of the edges towards their rest lengths per part
             (position-based dynamics, Jacobi). 0, with kept_velocity 1, gravity 0 and no dragging,
-            leaves all of it to the network, as the reference does; minutes of training do not
-            suffice then.
-        tethered: no vertex is farther from the held one than along the cloth (long range
-            attachments, Kim et al. 2012, DOI 10.2312/SCA/SCA12/305-310): messages and projections
-            carry a pull a few edges far per step, and the gripper draws the whole cloth along.
-        unfolding: how eagerly an edge that is too short grows, beside one that is too long: a
-            fold shortens the edges across it.
+            leaves everything to the network, as in the reference; then minutes of training do not
+            suffice.
+        tethered: whether to limit each vertex's distance to the held one to that along the cloth
+            (long range attachments, Kim et al. 2012, DOI 10.2312/SCA/SCA12/305-310). Messages and
+            projections carry a pull only a few edges per step, but the gripper pulls the whole
+            cloth along.
+        unfolding: correction of edges that are too short, relative to that of edges that are too
+            long; a fold shortens the edges across it.
     """
 
     width: Annotated[int, Bounds(least=1, most=1024)] = 128
@@ -76,12 +78,12 @@ class MeshNetworkConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """What each cloth of a batch is held by.
+    """The grasp of each cloth in a batch.
 
     Attributes:
-        vertices: held vertex per cloth (B); -1: none.
-        places: where it is after each step (B, steps, 3) [m].
-        steps: steps until it is let go (B).
+        vertices: held vertex per cloth (B); -1 for none.
+        places: its position after each step (B, steps, 3) [m].
+        steps: number of steps until its release (B).
     """
 
     vertices: Tensor
@@ -90,7 +92,7 @@ class Ways:
 
 
 def mlp(inputs: int, width: int, outputs: int, *, zero_output: bool = False) -> nn.Sequential:
-    """Return two hidden layers with ReLU; `zero_output` starts the last layer at 0."""
+    """Return an MLP with two hidden layers; `zero_output` initializes the last layer to 0."""
     last = nn.Linear(width, outputs)
     if zero_output:
         nn.init.zeros_(last.weight)
@@ -101,16 +103,17 @@ def mlp(inputs: int, width: int, outputs: int, *, zero_output: bool = False) -> 
 
 
 class _MessageStep(nn.Module):
-    """One round: edges hear their ends, vertices their edges, the whole its vertices."""
+    """One round of messages: vertices to edges, edges to vertices, vertices to the whole cloth."""
 
     def __init__(self, width: int) -> None:
-        """Allocate; the first layer of the edges is split, so that ends are multiplied once."""
+        """Allocate layers; the edges' first layer is split to multiply each vertex only once."""
         super().__init__()
         self.of_edge = nn.Linear(width, width)
         self.of_sender = nn.Linear(width, width, bias=False)
         self.of_receiver = nn.Linear(width, width, bias=False)
         self.of_whole = nn.Linear(width, width, bias=False)
-        # What is added begins with nothing: deep sums of many edges would drown the start.
+        # The residuals are initially zero, because deep sums over many edges would dominate the
+        # input.
         self.edge = nn.Sequential(nn.ReLU(), *list(mlp(width, width, width, zero_output=True))[2:])
         self.node = mlp(3 * width, width, width, zero_output=True)
         self.whole = mlp(3 * width, width, width, zero_output=True)
@@ -139,7 +142,7 @@ class _MessageStep(nn.Module):
 
 
 class MeshNetwork(nn.Module):
-    """Accelerations of the vertices of many cloths with one mesh."""
+    """A network for the vertex accelerations of many cloths with one mesh."""
 
     def __init__(self, config: MeshNetworkConfig) -> None:
         """Allocate the layers."""
@@ -149,7 +152,7 @@ class MeshNetwork(nn.Module):
         self.encode_node = mlp(3 * config.history + 3, width, width)
         self.encode_edge = mlp(7, width, width)
         self.steps = nn.ModuleList(_MessageStep(width) for _ in range(config.message_steps))
-        # Before it has learned anything, nothing accelerates.
+        # The untrained network predicts zero acceleration.
         self.decode = mlp(width, width, 3, zero_output=True)
 
     def forward(
@@ -167,11 +170,11 @@ class MeshNetwork(nn.Module):
         Args:
             positions: vertices (B, V, 3) [m].
             velocities: past velocities (B, V, history, 3), the latest last [m/s].
-            height: of the vertices over the table (B, V) [m].
-            held: which vertices are held (B, V).
-            near: which vertices are near which (B, V, V); those that share no edge get a
-                collision edge.
-            springs: the mesh.
+            height: height of the vertices above the table (B, V) [m].
+            held: whether each vertex is held (B, V).
+            near: pairs of vertices that are near each other (B, V, V); those that share no edge get
+                a collision edge.
+            springs: edges of the mesh.
         """
         config = self.config
         cloths, vertices, _ = positions.shape
@@ -206,9 +209,9 @@ class MeshNetwork(nn.Module):
     def _edges(
         self, positions: Tensor, near: Tensor, springs: Springs
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the edges of mesh and collision of all cloths, as numbers into B * V.
+        """Return the mesh and collision edges of all cloths, as indices into B * V.
 
-        Rest 0: collision.
+        The rest length of a collision edge is 0.
         """
         cloths, vertices, _ = positions.shape
         shift = vertices * torch.arange(cloths, device=positions.device)[:, None]
@@ -229,16 +232,16 @@ def advance(
     targets: Tensor,
     lowest_m: float = 0.0,
 ) -> tuple[Tensor, Tensor]:
-    """Return one step of the model: semi-implicit Euler, held vertices where they are told.
+    """Return the state after one semi-implicit Euler step, with held vertices at their targets.
 
     Args:
-        network: gives the accelerations.
+        network: network that predicts the accelerations.
         positions: vertices (B, V, 3) [m].
         velocities: past velocities (B, V, history, 3) [m/s].
-        held: which are held (B, V).
-        springs: the mesh.
-        targets: where held vertices are after the step (B, V, 3) [m].
-        lowest_m: no vertex goes under this height [m].
+        held: whether each vertex is held (B, V).
+        springs: edges of the mesh.
+        targets: positions of held vertices after the step (B, V, 3) [m].
+        lowest_m: least height of a vertex [m].
 
     Returns:
         Positions and past velocities after the step.
@@ -246,7 +249,7 @@ def advance(
     config, step_s = network.config, network.config.step_s
     near = contacts(positions, config.collision_radius_m)
     height = positions[..., 2] - lowest_m
-    # The network is told where held vertices are about to go, not only where they came from.
+    # The input includes the coming velocity of held vertices, not only their past ones.
     coming = torch.where(held[..., None], (targets - positions) / step_s, velocities[:, :, -1])
     text = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
     change = network(positions, text, height, held, near, springs=springs)
@@ -275,15 +278,15 @@ def roll_out(
     steps: int,
     lowest_m: float = 0.0,
 ) -> Tensor:
-    """Return the vertices after so many steps of the model, from rest (B, V, 3) [m]; no gradients.
+    """Return the vertices after steps of the model from rest (B, V, 3) [m], without gradients.
 
     Args:
-        network: gives the accelerations.
+        network: network that predicts the accelerations.
         positions: vertices at the start (B, V, 3) [m].
-        springs: the mesh.
-        ways: what is held, and where it goes.
-        steps: of the model, the last ones with nothing held.
-        lowest_m: no vertex goes under this height [m].
+        springs: edges of the mesh.
+        ways: held vertices and their paths.
+        steps: number of steps of the model, the last ones with nothing held.
+        lowest_m: least height of a vertex [m].
     """
     every = torch.arange(len(positions), device=positions.device)
     velocities = positions.new_zeros(*positions.shape[:2], network.config.history, 3)

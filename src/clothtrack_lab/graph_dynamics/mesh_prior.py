@@ -1,7 +1,8 @@
-"""What is known of a cloth's motion before anything is learned: tethers, contact, edges, table.
+"""Prior knowledge of cloth motion that is not learned: tethers, contact, edges and table.
 
-A step of the learned mesh dynamics (`mesh_network.advance`) ends with these: the graph network
-only has to learn what they miss. Minutes of training do not teach it that edges keep their length.
+A step of the learned mesh dynamics (`mesh_network.advance`) ends with these corrections, so the
+graph network only has to learn the remainder. Minutes of training do not teach it that edges keep
+their length.
 """
 
 from dataclasses import dataclass
@@ -12,15 +13,15 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """The edges of the mesh, each in both directions.
+    """The edges of a mesh, each in both directions.
 
     Attributes:
-        sender: vertex that an edge comes from.
-        receiver: vertex that it leads to.
+        sender: start vertex of each edge.
+        receiver: end vertex of each edge.
         rest: length in the flat garment [m].
-        joined: matrix of which vertices share an edge or are the same.
-        count: edges of each vertex, at least one.
-        along: from each vertex to each, along the edges of the flat garment [m].
+        joined: matrix of the vertex pairs that share an edge or are the same.
+        count: number of edges of each vertex, at least one.
+        along: distance between each pair of vertices along the edges of the flat garment [m].
     """
 
     sender: Tensor
@@ -32,7 +33,7 @@ class Springs:
 
     @classmethod
     def of(cls, edges: Tensor, rest: Tensor, along: Tensor) -> "Springs":
-        """Return both directions of each edge (edges, 2), with its rest length, and `along` [m]."""
+        """Return springs with both directions of each edge (edges, 2), `rest` and `along` [m]."""
         vertices = len(along)
         sender = torch.cat([edges[:, 0], edges[:, 1]])
         receiver = torch.cat([edges[:, 1], edges[:, 0]])
@@ -42,36 +43,36 @@ class Springs:
         return cls(sender, receiver, torch.cat([rest, rest]), joined, count, along)
 
     def to(self, device: str) -> "Springs":
-        """Return the same on a device."""
+        """Return a copy on a device."""
         return Springs(*(one.to(device) for one in vars(self).values()))
 
 
 def nearer_to_rest(
     positions: Tensor, held: Tensor, springs: Springs, *, unfolding: float
 ) -> Tensor:
-    """Return positions with edges nearer to their rest lengths (B, V, 3) [m]; held ones stay.
+    """Return positions (B, V, 3) [m] with edges nearer to their rest lengths; held ones stay.
 
     Args:
         positions: vertices (B, V, 3) [m].
-        held: which are held (B, V).
-        springs: the mesh.
-        unfolding: share of what an edge that is too short asks for.
+        held: whether each vertex is held (B, V).
+        springs: edges of the mesh.
+        unfolding: share of the correction for edges that are too short.
     """
     gap = positions[:, springs.sender] - positions[:, springs.receiver]
     length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     excess = length - springs.rest[:, None]
     excess = torch.where(excess > 0.0, excess, unfolding * excess)
-    # The whole excess where the other end is held, else half of it.
+    # Correct the whole excess if the other end is held, else half of it.
     share = torch.where(held[:, springs.sender], 1.0, 0.5)[..., None]
     pull = share * gap * (excess / length)
     total = torch.zeros_like(positions).index_add(1, springs.receiver, pull)
-    # A mean of what the edges ask for is stable; half as much again is faster.
+    # The mean of the edges' corrections is stable; 1.5 times the mean converges faster.
     moved = positions + 1.5 * total / springs.count[:, None]
     return torch.where(held[..., None], positions, moved)
 
 
 def tethered(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
-    """Return positions no farther from the held vertex than along the edges (B, V, 3) [m]."""
+    """Return positions (B, V, 3) [m], at most as far from the held vertex as along the edges."""
     one = held.to(torch.uint8).argmax(dim=1)
     anchor = positions[torch.arange(len(one), device=one.device), one][:, None]
     gap = positions - anchor
@@ -81,7 +82,7 @@ def tethered(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
 
 
 def contacts(positions: Tensor, radius_m: float) -> Tensor:
-    """Which vertices (B, V, 3) [m] are nearer than a radius, themselves among them (B, V, V)."""
+    """Return which vertices (B, V, 3) [m] are within a radius, including themselves (B, V, V)."""
     here = positions.detach()
     return torch.cdist(here, here) < radius_m
 
@@ -89,14 +90,15 @@ def contacts(positions: Tensor, radius_m: float) -> Tensor:
 def dragged(before: Tensor, after: Tensor, near: Tensor, held: Tensor, *, times: int) -> Tensor:
     """Return positions (B, V, 3) [m] after friction between layers in contact.
 
-    Every vertex moves by the mean of what moved near it; a crumpled cloth goes as one clump.
+    Every vertex moves by the mean motion of the vertices near it, so a crumpled cloth moves as one
+    clump.
 
     Args:
         before: vertices at the start of the step (B, V, 3) [m].
-        after: where they would be without it (B, V, 3) [m].
-        near: which vertices are near which, themselves among them (B, V, V).
-        held: which are held (B, V); they stay where they are told.
-        times: how often.
+        after: vertices after the step without friction (B, V, 3) [m].
+        near: pairs of vertices that are near each other, including themselves (B, V, V).
+        held: whether each vertex is held (B, V); held ones keep their positions.
+        times: number of repetitions.
     """
     moved = after - before
     share = near.to(moved.dtype)
@@ -107,6 +109,6 @@ def dragged(before: Tensor, after: Tensor, near: Tensor, held: Tensor, *, times:
 
 
 def above(positions: Tensor, lowest_m: float) -> Tensor:
-    """No vertex (B, V, 3) [m] is under a height."""
+    """Return the vertices (B, V, 3) [m], raised to a least height."""
     height = positions[..., 2].clamp_min(lowest_m)
     return torch.cat([positions[..., :2], height[..., None]], dim=-1)

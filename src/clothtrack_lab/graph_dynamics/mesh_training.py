@@ -1,7 +1,7 @@
-"""Trains the mesh dynamics on roll-outs, by the one training loop of the package.
+"""Training of the mesh dynamics on roll-outs, with the package's common training loop.
 
-Noise on the past teaches to correct one's own errors, and a loss over several own steps teaches
-not to make them add up; the reference has neither (method notes, Sec. 6.1).
+Noise on the past teaches the model to correct its own errors, and a loss over several of its own
+steps teaches it not to accumulate them. The reference has neither (method notes, Sec. 6.1).
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,22 +39,22 @@ from clothtrack_lab.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 
 _WHOLE_ERROR = "whole_error_mm"
 _TINY = 1e-12
-"""Of a distance that has no slope at 0."""
+"""Added under the square root of distances, which has no gradient at 0."""
 
 
 @dataclass(frozen=True)
 class DynamicsTrainingConfig(Checked):
-    """What the mesh dynamics learn from, and how.
+    """The training configuration of the mesh dynamics.
 
     Attributes:
         network: sizes of the graph network.
-        loop: epochs, rates, seed; a batch is of windows of one garment, see `windows`.
-        windows: windows of one garment that make an example; with a loop's batch size of 1 these
+        loop: epochs, rates and seed; for the batch size see `windows`.
+        windows: number of windows of one garment per example; with a loop's batch size of 1 they
             are the batch (reference: 16).
-        unrolled: own steps that the loss is over: 6 of 0.2 s are a whole roll-out, 1 is the
-            reference's one-step loss.
-        noise_m: standard deviation of the random walk on the past, at its end [m].
-        examples_per_shard: examples that an epoch draws from each shard.
+        unrolled: number of the model's own steps in the loss; 6 of 0.2 s are a whole roll-out, 1 is
+            the reference's one-step loss.
+        noise_m: standard deviation of the random walk added to the past, at its end [m].
+        examples_per_shard: number of examples that an epoch draws from each shard.
     """
 
     network: MeshNetworkConfig = field(default_factory=MeshNetworkConfig)
@@ -71,13 +71,13 @@ class DynamicsTrainingConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Short pieces of roll-outs of one garment.
+    """Short sections of roll-outs of one garment.
 
     Attributes:
         past: noisy positions before and at the start (windows, history + 1, vertices, 3) [m].
         future: true positions after it (windows, unrolled, vertices, 3) [m].
-        held: which vertex is held during each step of the future (windows, unrolled, vertices).
-        springs: the mesh.
+        held: whether each vertex is held during each future step (windows, unrolled, vertices).
+        springs: edges of the mesh.
     """
 
     past: Tensor
@@ -86,7 +86,7 @@ class Windows:
     springs: Springs
 
     def to(self, device: str) -> "Windows":
-        """Return the same on a device."""
+        """Return a copy on a device."""
         return Windows(
             self.past.to(device), self.future.to(device), self.held.to(device),
             self.springs.to(device),
@@ -94,12 +94,12 @@ class Windows:
 
 
 class WindowExamples:
-    """Windows of roll-outs; shards are read when they are drawn from, the latest kept."""
+    """A dataset of roll-out windows; shards are read on demand, and the latest is cached."""
 
     def __init__(
         self, shards: Sequence[Path], config: DynamicsTrainingConfig, *, noisy: bool = True
     ) -> None:
-        """Remember where the shards are.
+        """Store the paths of the shards.
 
         Raises:
             InvalidConfigError: there are none.
@@ -111,27 +111,27 @@ class WindowExamples:
 
     @property
     def groups(self) -> list[int]:
-        """The shard that each example is of."""
+        """The shard of each example."""
         per = self.config.examples_per_shard
         return [number for number in range(len(self.shards)) for _ in range(per)]
 
     def __len__(self) -> int:
-        """Return how many there are in an epoch."""
+        """Return the number of examples per epoch."""
         return len(self.shards) * self.config.examples_per_shard
 
     def __getitem__(self, draw: Draw) -> Windows:
-        """Return windows of one garment, turned about the vertical at random."""
+        """Return windows of one garment, randomly rotated about the vertical."""
         index, epoch = draw
         config, history = self.config, self.config.network.history
         shard, springs = self._shard(index // config.examples_per_shard)
         rng = np.random.default_rng([config.loop.seed, epoch, index, int(self.noisy)])
         rolls, frames = shard.positions.shape[:2]
         roll = rng.integers(rolls, size=config.windows)
-        # Half of the windows begin while something is held: most moments of a roll-out are calm.
+        # Half of the windows begin while something is held, because most of a roll-out is calm.
         last = np.maximum(frames - 1 - config.unrolled, 0)
         ends = np.where(rng.random(config.windows) < 0.5, shard.held_frames[roll], last + 1)
         start = (rng.random(config.windows) * np.clip(ends, 1, last + 1)).astype(int)
-        # Before the first moment the cloth lay where it lay then.
+        # Before the first moment the cloth was at rest.
         times = np.clip(start[:, None] + np.arange(-history, 1 + config.unrolled), 0, frames - 1)
         moments = shard.positions[roll[:, None], times].astype(np.float64)
         moments = _turned(moments, rng)
@@ -159,7 +159,7 @@ class WindowExamples:
 
 
 def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return each window turned about the vertical, or mirrored: dynamics know no direction."""
+    """Return each window rotated about the vertical or mirrored at random, as augmentation."""
     angle = rng.uniform(0.0, 2.0 * np.pi, len(moments))
     mirror = np.where(rng.random(len(moments)) < 0.5, -1.0, 1.0)
     turn = np.array(
@@ -172,23 +172,23 @@ def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class WindowBatch:
-    """Several examples, of garments that may differ."""
+    """A batch of examples, possibly of different garments."""
 
     parts: Sequence[Windows]
 
     def to(self, device: str) -> "WindowBatch":
-        """Return the same on a device."""
+        """Return a copy on a device."""
         return WindowBatch([one.to(device) for one in self.parts])
 
 
 class MeshDynamicsStage(Stage):
-    """The mesh dynamics as what the training loop trains."""
+    """The mesh dynamics as a stage of the training loop."""
 
     name = "mesh_dynamics"
     score = "error_mm"
 
     def __init__(self, config: DynamicsTrainingConfig, kind: str) -> None:
-        """Fresh weights from the seed."""
+        """Initialize the weights from the seed."""
         super().__init__()
         torch.manual_seed(config.loop.seed)
         self.kind = kind
@@ -196,10 +196,10 @@ class MeshDynamicsStage(Stage):
         self.trained = MeshNetwork(config.network)
 
     def forward(self, batch: WindowBatch) -> Mapping[str, Tensor]:
-        """Loss: mean distance of the own positions from the true ones, in units of the scale.
+        """Return the loss: mean distance of predicted and true positions.
 
-        Not its square: a cloth that slips where another hangs on is far off, and no rule says which
-        it will be.
+        The distance is not squared, because whether a cloth slips or keeps hanging is
+        unpredictable, and then the error is large.
         """
         losses = []
         for windows in batch.parts:
@@ -209,7 +209,7 @@ class MeshDynamicsStage(Stage):
         return {"loss": torch.stack(losses).mean()}
 
     def measure(self, batch: WindowBatch) -> Mapping[str, Tensor]:
-        """Return the mean distance to the truth after the own steps, and if nothing moved [mm]."""
+        """Return the mean distance to the truth, by the model and without motion [mm]."""
         errors, still = [], []
         for windows in batch.parts:
             last = windows.future[:, -1]
@@ -219,7 +219,7 @@ class MeshDynamicsStage(Stage):
         return {"error_mm": torch.stack(errors), "still_mm": torch.stack(still)}
 
     def _unrolled(self, windows: Windows) -> Tensor:
-        """Return the model's own positions after each step (windows, unrolled, vertices, 3)."""
+        """Return the model's positions after each step (windows, unrolled, vertices, 3)."""
         step_s = self.network.step_s
         positions = windows.past[:, -1]
         velocities = (windows.past.diff(dim=1) / step_s).transpose(1, 2)
@@ -242,23 +242,24 @@ def train_mesh_dynamics(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> TrainingOutcome:
-    """Train mesh dynamics on roll-outs, or go on where an earlier run stopped.
+    """Train mesh dynamics on roll-outs, or resume an earlier run.
 
     Args:
-        shards: of one kind of garment or several; one in ten is held out to select by.
-        kind: the garments, in words.
-        config: how.
-        folder: gets progress, scalars and best.safetensors.
-        device: where to compute.
-        progress: called after every step.
+        shards: shards of one or several kinds of garment; one in ten is held out for model
+            selection.
+        kind: names of the garments.
+        config: training configuration.
+        folder: folder for progress, scalars and best.safetensors.
+        device: device to compute on.
+        progress: function called after every step.
 
     Returns:
-        How it ended; the best weights, with a card beside them (`mesh_card`).
+        The outcome with the best weights, which have a card next to them (`mesh_card`).
 
     Raises:
         InvalidConfigError: there are fewer than two shards.
         InvalidResultError: shards or progress are damaged or belong to another training.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     examples = WindowExamples(shards, config)
     calm = WindowExamples(shards, config, noisy=False)
@@ -299,7 +300,7 @@ def train_mesh_dynamics(
 def whole_roll_outs(
     network: MeshNetwork, shards: Sequence[Path], *, device: str = "cpu"
 ) -> Mapping[str, float]:
-    """Return the mean distance to the simulator at the end of whole roll-outs, by name [mm].
+    """Return the mean distances to the simulator at the end of whole roll-outs, by name [mm].
 
     Raises:
         InvalidResultError: a shard is damaged.

@@ -1,18 +1,18 @@
-"""The mesh dynamics as the core finds them: by the entry point `mesh` of `clothtrack.dynamics`."""
+"""Registration of the mesh dynamics under the entry point `mesh` of `clothtrack.dynamics`."""
 
 from pathlib import Path
 
 from clothtrack.planning.planning_dynamics import LearnedDynamics, PlanningDynamics
 
 SHIPPED_WEIGHTS = Path(__file__).parent / "weights" / "mesh_dynamics.safetensors"
-"""For every garment; they come with the package, with a card."""
+"""Shipped weights for every garment, with a card."""
 
 
 def load(weights: Path, *, device: str = "cpu") -> PlanningDynamics:
-    """Return the mesh dynamics of a file of weights; PyTorch is imported here and not before.
+    """Return the mesh dynamics from a weights file; PyTorch is imported only here.
 
     Raises:
-        InvalidResultError: the weights are missing, damaged or of something else.
+        InvalidResultError: the weights are missing, damaged or of another network.
     """
     from clothtrack_lab.graph_dynamics.mesh_dynamics import load_mesh_dynamics
 
@@ -20,4 +20,4 @@ def load(weights: Path, *, device: str = "cpu") -> PlanningDynamics:
 
 
 MESH_DYNAMICS = LearnedDynamics(load, SHIPPED_WEIGHTS, "learn")
-"""Learned on roll-outs of our simulator."""
+"""The dynamics learned on roll-outs of our simulator."""

@@ -1,10 +1,11 @@
-"""Roll-outs of our solver, kept on disk: what the learned mesh dynamics learn from.
+"""Roll-outs of our solver on disk, the training data of the learned mesh dynamics.
 
     OUT/roll_outs.json        what was asked for
     OUT/shards/0000.npz       roll-outs of one garment, on its coarse mesh
 
-A crumpled garment is rolled out on a fine mesh, all candidates at once; what is kept are the
-material points of the coarse mesh, so that the learned dynamics know what its folds cannot show.
+A crumpled garment is rolled out on a fine mesh, all candidates at once. Only the material points of
+the coarse mesh are kept, so that the learned dynamics reproduce motion that the coarse mesh's folds
+cannot represent.
 """
 
 import logging
@@ -46,11 +47,11 @@ logger = logging.getLogger(__name__)
 
 LIST_FILE = "roll_outs.json"
 _OF_ROLL_OUTS = 0x5017
-"""Keeps the draws of this module apart from those of others with the same seed."""
+"""Constant that separates this module's random draws from those of others with the same seed."""
 
 
 def _of_flattening() -> StatesConfig:
-    """Return states of garments as large as those that are flattened, and mostly heaps."""
+    """Return the configuration of states, mostly heaps, of garments as large as those flattened."""
     shirts_m = 0.38, 0.48
     sizes = GarmentRanges(
         towel_side_m=(0.22, 0.34),
@@ -73,22 +74,22 @@ def _of_flattening() -> StatesConfig:
 
 
 LEARNED_MESH = CoarseConfig(spacing_m=0.025, most_vertices=400)
-"""The mesh that the learned dynamics move; the reference code clusters to the same spacing."""
+"""Coarse mesh of the learned dynamics; the reference code clusters to the same spacing."""
 
 
 @dataclass(frozen=True)
 class RollOutConfig(Checked):
-    """What roll-outs are made, and how.
+    """The configuration of roll-outs.
 
     Attributes:
-        vertex_count: about how many vertices the simulated garment has.
-        starts: crumpled states per garment, and so per shard.
-        actions: actions tried from each of them.
-        frame_s: time between two kept moments [s]; the reference's model steps 0.05.
-        coarse: the mesh of which the vertices are kept.
-        motion: how the tip moves.
-        space: which actions are tried.
-        states: how garments are made and crumpled.
+        vertex_count: approximate number of vertices of the simulated garment.
+        starts: number of crumpled states per garment, and so per shard.
+        actions: number of actions tried from each of them.
+        frame_s: time between two kept moments [s]; the reference's model has steps of 0.05.
+        coarse: mesh whose vertices are kept.
+        motion: motion of the tip.
+        space: actions to try.
+        states: configuration of making and crumpling garments.
     """
 
     vertex_count: int = 600
@@ -103,7 +104,7 @@ class RollOutConfig(Checked):
     states: StatesConfig = field(default_factory=_of_flattening)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be made.
+        """Refuse a configuration that cannot be made.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -122,10 +123,10 @@ class RollOutShard:
     """Roll-outs of one garment.
 
     Attributes:
-        mesh: the coarse garment at rest [m].
+        mesh: coarse garment at rest [m].
         positions: its vertices at every kept moment [m], the first before the motion.
-        held: vertex that is held; -1: none.
-        held_frames: moments up to which it is held, the first excluded.
+        held: held vertex; -1 for none.
+        held_frames: number of moments for which it is held, the first excluded.
         frame_s: time between two moments [s].
     """
 
@@ -136,12 +137,12 @@ class RollOutShard:
     frame_s: float
 
     def every(self, step_s: float) -> "RollOutShard":
-        """Return the same with a moment kept every so often.
+        """Return the roll-outs with one moment kept per `step_s`.
 
-        Held until the first one after letting go.
+        The vertex counts as held until the first kept moment after its release.
 
         Raises:
-            InvalidConfigError: the time is no multiple of what there is.
+            InvalidConfigError: the step is not a multiple of the time between moments.
         """
         stride = frames_per_step(step_s, self.frame_s)
         return replace(
@@ -153,10 +154,10 @@ class RollOutShard:
 
 
 def frames_per_step(step_s: float, frame_s: float) -> int:
-    """Return kept moments of roll-outs from one step of a model to the next.
+    """Return the number of kept moments of roll-outs per step of a model.
 
     Raises:
-        InvalidConfigError: the step is no multiple of the time between two moments.
+        InvalidConfigError: the step is not a multiple of the time between two moments.
     """
     stride = round(step_s / frame_s)
     if stride < 1 or abs(stride * frame_s - step_s) > 1e-9:
@@ -177,16 +178,16 @@ def generate_roll_outs(
     processes: int = 1,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Make at least so many roll-outs, in whole shards; finished ones are kept.
+    """Make at least `count` roll-outs, in whole shards; finished ones are kept.
 
     Args:
-        out: folder for `shards/` and the list.
-        kind: the garment.
-        count: how many roll-outs.
-        seed: of everything.
-        config: what is made, and how.
-        processes: worker processes.
-        progress: called with the shards that are kept, and after each further one.
+        out: folder for `shards/` and the configuration file.
+        kind: kind of garment.
+        count: number of roll-outs.
+        seed: seed of all random draws.
+        config: configuration of the roll-outs.
+        processes: number of worker processes.
+        progress: function called with the kept shards, and after each further one.
 
     Raises:
         InvalidConfigError: there are no workers or roll-outs, or `out` holds others.
@@ -218,10 +219,10 @@ def generate_roll_outs(
 def make_roll_outs(
     kind: GarmentKind, number: int, seed: int, config: RollOutConfig
 ) -> RollOutShard:
-    """Shard `number`: it depends on the seed and on the number alone.
+    """Return shard `number`, which depends only on the seed and the number.
 
     Raises:
-        SimulationDivergedError: when hardly any roll-out is sound.
+        SimulationDivergedError: fewer than half of the roll-outs stayed finite.
     """
     rng = np.random.default_rng([_OF_ROLL_OUTS, seed, number, list(DEFAULT_SIZES_M).index(kind)])
     states = replace(config.states, vertex_count=config.vertex_count)
@@ -257,7 +258,7 @@ def _rolled(
     config: RollOutConfig,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, HeldPaths]:
-    """Return all actions from one crumpled state; coarse vertices at every kept moment."""
+    """Return the coarse vertices at every kept moment of all actions from one crumpled state."""
     fine, coarse = solver.mesh, coarsen(start)
     cloth = PlannedCloth(coarsen.flat, coarse)
     flat_on_table = coarse * [1.0, 1.0, 0.0]
@@ -266,7 +267,7 @@ def _rolled(
     actions = sample_actions(seen, config.actions, config.space, rng, weights=weights)
     held = HeldPaths.of(cloth, [*actions, *[None] * (config.actions - len(actions))], config.motion)
     every = np.arange(config.actions)
-    # The fine vertex nearest to the coarse one is what the gripper takes.
+    # The gripper takes the fine vertex nearest to the coarse one.
     gaps = np.linalg.norm(start[None] - coarse[held.vertices][:, None], axis=2)
     taken = np.argmin(gaps, axis=1)
     offset = start[taken] - coarse[held.vertices]
@@ -275,7 +276,7 @@ def _rolled(
     targets = np.zeros((config.actions, fine.vertex_count, 3))
     strength = np.zeros(targets.shape[:2])
     stride = round(config.frame_s / config.motion.time_step_s)
-    # Every candidate is let go at a kept moment.
+    # Every candidate is released at a kept moment.
     let_go = stride * np.ceil(held.steps / stride).astype(int)
     total = int(let_go.max()) + stride * math.ceil(config.motion.rest_s / config.frame_s)
     kept = [np.stack([coarsen(one) for one in solver.positions])]
@@ -293,7 +294,7 @@ def _rolled(
 def _joined(
     parts: list[tuple[np.ndarray, HeldPaths]], mesh: ClothMesh, config: RollOutConfig
 ) -> RollOutShard:
-    """Return one shard; shorter roll-outs stay at rest to the end of the longest."""
+    """Return one shard; shorter roll-outs are padded with their last moment."""
     longest = max(frames.shape[1] for frames, _ in parts)
     padded = [
         np.concatenate([frames, np.repeat(frames[:, -1:], longest - frames.shape[1], axis=1)], 1)
@@ -315,7 +316,7 @@ def _joined(
 
 
 def _write_roll_outs(shard: RollOutShard, path: Path) -> None:
-    """Write a shard, whole or not at all.
+    """Write a shard, completely or not at all.
 
     Raises:
         StorageError: the disk refuses.
@@ -333,10 +334,10 @@ def _write_roll_outs(shard: RollOutShard, path: Path) -> None:
 
 
 def read_roll_outs(path: Path) -> RollOutShard:
-    """Read a shard; nothing in it is executed.
+    """Read a shard; no code in it is executed.
 
     Raises:
-        InvalidResultError: it is missing or damaged.
+        InvalidResultError: the file is missing or damaged.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -1,7 +1,7 @@
 """The unit cube in which every garment of a category has its canonical pose.
 
-One cube per category, not per garment: a small shirt fills less of it than a large one, so that
-a canonical coordinate also says how large the garment is (GarmentNets, arXiv 2104.05177, 3.1).
+There is one cube per category, not per garment. A small shirt fills less of it than a large one, so
+a canonical coordinate also encodes the size of the garment (GarmentNets, arXiv 2104.05177, 3.1).
 """
 
 from dataclasses import dataclass
@@ -12,20 +12,21 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidConfigError
 
 _MARGIN_M = 0.1
-"""Added to the longest edge of the category's box [m], as the published models do."""
+"""Margin added to the longest edge of the category's box [m], as in the published models."""
 
 _INFLATION = 0.12
-"""Half depth of a T-shirt's canonical pose over its width (`garments.garment_meshes.tshirt`)."""
+"""Half the depth of a T-shirt's canonical pose over its width
+(`garments.garment_meshes.tshirt`)."""
 
 
 @dataclass(frozen=True)
 class CanonicalFrame:
-    """How canonical coordinates in meters map to the unit cube, for one category.
+    """The map from canonical coordinates in meters to the unit cube, for one category.
 
-    The origin becomes the middle of the cube.
+    The origin maps to the middle of the cube.
 
     Attributes:
-        kind: the category.
+        kind: category of garments.
         scale: edges of the cube per meter [1/m].
         half_m: half extent along each axis of the largest garment of the category [m].
     """
@@ -35,31 +36,31 @@ class CanonicalFrame:
     half_m: tuple[float, float, float]
 
     def to_unit(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Canonical positions [m] in the unit cube."""
+        """Return canonical positions [m] as positions in the unit cube."""
         return points * self.scale + 0.5
 
     def to_meters(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Positions in the unit cube as canonical positions [m]."""
+        """Return positions in the unit cube as canonical positions [m]."""
         return (points - 0.5) / self.scale
 
 
 LARGEST_SIZE_M: dict[str, tuple[float, float]] = {"towel": (0.4, 0.4), "tshirt": (0.6, 0.55)}
-"""Width and length [m] of the largest garment of each category that its cube has room for."""
+"""Width and length [m] of the largest garment of each category that fits its cube."""
 
 SHEETS = ("towel",)
-"""Garments without an inside: turned over, their winding number has the other sign."""
+"""Garments without an inside; their winding number changes sign when they are turned over."""
 
 _LEAST_INFLATION = 0.05
 
 
 def canonical_frame(kind: str) -> CanonicalFrame:
-    """The unit cube of a category: all sizes of its garments, and a margin.
+    """Return the unit cube of a category, with room for all its sizes and a margin.
 
     Args:
         kind: "towel" or "tshirt".
 
     Raises:
-        InvalidConfigError: for a category without a canonical pose.
+        InvalidConfigError: the category has no canonical pose.
     """
     _check_kind(kind)
     width, length = LARGEST_SIZE_M[kind]
@@ -71,30 +72,30 @@ def canonical_frame(kind: str) -> CanonicalFrame:
 def conventional(
     canonical: Float[np.ndarray, "vertices 3"], kind: str
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Canonical coordinates [m] with the longer side of a towel along x; others as they are.
+    """Return canonical coordinates [m] with a towel's longer side along x; others unchanged.
 
-    Nobody can say which side of a towel is its width. All that the networks learn from and are
-    asked about goes through this convention, so that a quarter turn is decided by the sides where
-    they differ. A towel that is nearly as wide as long stays ambiguous by a quarter turn: the
-    networks have to guess there, and errors up to `symmetries` contain wrong guesses.
+    Which side of a towel is its width is ambiguous. All inputs and targets of the networks follow
+    this convention, so the sides decide a quarter turn if they differ. A towel that is nearly as
+    wide as long stays ambiguous by a quarter turn. The networks then have to guess, and errors up
+    to `symmetries` contain wrong guesses.
 
     Args:
-        canonical: of all vertices of a garment, about the origin.
+        canonical: coordinates of all vertices of a garment, about the origin.
         kind: "towel" or "tshirt".
     """
     extent = np.ptp(canonical, axis=0)
     if kind not in SHEETS or extent[0] >= extent[1]:
         return canonical
-    # A turn about z, not an exchange of x and y: faces keep looking up.
+    # Rotate about z instead of swapping x and y, so that faces keep facing up.
     return np.column_stack([canonical[:, 1], -canonical[:, 0], canonical[:, 2]])
 
 
 def check_canonical(canonical: Float[np.ndarray, "vertices 3"], kind: str) -> None:
-    """Refuse a canonical pose [m] that the cube of its category cannot tell apart or hold.
+    """Refuse a canonical pose [m] that is ambiguous or too large for its category's cube.
 
     Raises:
-        InvalidConfigError: it reaches out of the cube, the layers of a garment lie in one another,
-            or the category has no cube.
+        InvalidConfigError: the pose reaches out of the cube, layers of the garment coincide, or the
+            category has no cube.
     """
     reach = float(np.abs(canonical_frame(kind).to_unit(canonical) - 0.5).max())
     if not reach <= 0.5:

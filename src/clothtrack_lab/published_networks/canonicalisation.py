@@ -1,7 +1,8 @@
-"""Canonicalisation: for each pixel of cloth, which material point it shows.
+"""Canonicalisation: the material point shown by each pixel of cloth.
 
-Each canonical axis is cut into bins and the network classifies (GarmentNets, arXiv 2104.05177,
-section 3.2): where several answers fit, a distribution keeps them apart and a mean would not.
+Each canonical axis is divided into bins, and the network classifies (GarmentNets, arXiv 2104.05177,
+section 3.2). If several answers fit, a distribution keeps them apart, whereas regression would
+average them.
 """
 
 import torch
@@ -13,11 +14,11 @@ from clothtrack_lab.published_networks.hrnet import HRNet, ResidualBlock, convol
 from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 _RELIEF_M = 0.03
-"""Height over the cloth's mean [m] that the network is shown as 1."""
+"""Height above the cloth's mean [m] that is scaled to 1 in the network's input."""
 
 
 class _UNet(nn.Module):
-    """An encoder and decoder with skips; features at half the resolution of the picture.
+    """An encoder and decoder with skip connections; features have half the picture's resolution.
 
     Args:
         inputs: channels of the picture.
@@ -49,7 +50,7 @@ class _UNet(nn.Module):
     def forward(
         self, picture: Float[Tensor, "batch inputs h w"]
     ) -> Float[Tensor, "batch channels h2 w2"]:
-        """The features."""
+        """Return the features."""
         x = self.stem(picture)
         skips = []
         for level, block in enumerate(self.down):
@@ -62,11 +63,11 @@ class _UNet(nn.Module):
 
 
 class Canonicaliser(nn.Module):
-    """Depth picture to canonical coordinates, as a distribution over bins per axis.
+    """A network from a depth picture to a distribution over bins per canonical axis.
 
     Attributes:
         config: sizes of the network.
-        channels: channels of a pixel's feature, which the completion is given too.
+        channels: channels of a pixel's feature, which is also an input of the completion.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -91,7 +92,7 @@ class Canonicaliser(nn.Module):
         self.bins = nn.Linear(self.channels, 3 * config.bins)
 
     def forward(self, depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch channels h2 w2"]:
-        """Features of the picture, from depth [m] in which 0 is background."""
+        """Return features of the picture, from depth [m] in which 0 is background."""
         if self.config.depth_channels == 3:
             depth = relief(depth)
         return self.head(self.encoder(depth))
@@ -99,9 +100,9 @@ class Canonicaliser(nn.Module):
     def logits(
         self, features: Float[Tensor, "batch channels h2 w2"], pixels: Int[Tensor, "pixels 3"]
     ) -> Float[Tensor, "pixels 3 bins"]:
-        """Logits of the bins of each axis, at these pixels only.
+        """Return the logits of the bins of each axis, at these pixels only.
 
-        Most of a picture is table: what nobody asks for is not computed.
+        Other pixels are not computed, because most of a picture is table.
 
         Args:
             features: from `forward`.
@@ -113,7 +114,7 @@ class Canonicaliser(nn.Module):
     def pixel_features(
         self, features: Float[Tensor, "batch channels h2 w2"], pixels: Int[Tensor, "pixels 3"]
     ) -> Float[Tensor, "pixels channels"]:
-        """The feature of each pixel; bilinear where features are coarser than the output."""
+        """Return the feature of each pixel, bilinear if features are coarser than the output."""
         picture, row, column = pixels.unbind(dim=1)
         lines = features.permute(0, 2, 3, 1)
         height, width = features.shape[-2:]
@@ -129,10 +130,10 @@ class Canonicaliser(nn.Module):
 
 
 def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
-    """Silhouette, height over the cloth's mean (in `_RELIEF_M`), and that mean depth [m].
+    """Return silhouette, height above the cloth's mean (in `_RELIEF_M`), and that mean depth [m].
 
-    Wrinkles of millimeters on a distance of a meter are lost on a young network; the mean depth,
-    which says how large the cloth is, is kept.
+    An untrained network cannot resolve wrinkles of millimeters at a distance of a meter. The mean
+    depth is kept because it determines the size of the cloth.
     """
     cloth = (depth > 0).to(depth.dtype)
     count = cloth.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1.0)
@@ -143,17 +144,17 @@ def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
 def coordinates(
     logits: Float[Tensor, "pixels 3 bins"], window: int = 2
 ) -> tuple[Float[Tensor, "pixels 3"], Float[Tensor, "pixels 3"]]:
-    """Canonical coordinates in the unit cube, and how sure the network is of them.
+    """Return canonical coordinates in the unit cube, and the network's confidence.
 
-    The coordinate is the mean of the bins around the best one, weighted by their probability: free
-    of the half-bin error of the best bin alone, and blind to a rival answer elsewhere.
+    The coordinate is the mean of the bins around the best one, weighted by their probability. It
+    avoids the half-bin error of the best bin alone and ignores a competing answer elsewhere.
 
     Args:
-        logits: of the bins of each axis.
-        window: bins on either side of the best one.
+        logits: logits of the bins of each axis.
+        window: number of bins on either side of the best one.
 
     Returns:
-        The coordinates, bin k standing for (k + 0.5) / bins, and the probability in the window.
+        The coordinates, where bin k stands for (k + 0.5) / bins, and the probability in the window.
     """
     count = logits.shape[-1]
     probability = logits.float().softmax(dim=-1)
@@ -167,14 +168,14 @@ def coordinates(
 
 
 def bin_of(unit: Float[Tensor, "*points 3"], bins: int) -> Int[Tensor, "*points 3"]:
-    """The bin in which a coordinate of the unit cube lies."""
+    """Return the bin of a coordinate in the unit cube."""
     return (unit * bins).floor().long().clamp(0, bins - 1)
 
 
 def relabeled(
     unit: Float[Tensor, "points 3"], signs: Float[Tensor, " 3"]
 ) -> Float[Tensor, "points 3"]:
-    """Coordinates in the unit cube after a symmetry of the garment."""
+    """Return coordinates in the unit cube after a symmetry of the garment."""
     return 0.5 + (unit - 0.5) * signs
 
 
@@ -185,14 +186,14 @@ def symmetry_losses(
     symmetries: Float[Tensor, "symmetries 3"],
     images: int,
 ) -> Float[Tensor, "images symmetries"]:
-    """Cross entropy of each picture against each way to label the same cloth [nat].
+    """Return the cross entropy of each picture for each symmetry of the garment [nat].
 
-    Mean over axes and over the picture's pixels; 0 for a picture without pixels.
+    It is the mean over axes and the picture's pixels, and 0 for a picture without pixels.
 
     Args:
-        logits: of the bins of each axis.
+        logits: logits of the bins of each axis.
         targets: true coordinates in the unit cube.
-        image_of_pixel: which picture a pixel belongs to.
+        image_of_pixel: picture of each pixel.
         symmetries: signs about the center (`canonical_frame.symmetries`).
         images: number of pictures.
     """
@@ -213,17 +214,17 @@ def canonical_loss(
     symmetries: Float[Tensor, "symmetries 3"],
     images: int,
 ) -> Float[Tensor, ""]:
-    """Cross entropy, for each picture against the labeling that suits the network best [nat].
+    """Return the cross entropy, for each picture under its best symmetry [nat].
 
-    Which of the look-alike labelings is true cannot be seen, so any of them is right; but one for
-    the whole picture, or the map would tear.
+    Which symmetry is true cannot be seen, so any of them is right. It must be the same for the
+    whole picture, because otherwise the map would tear.
 
     Args:
-        logits: of the bins of each axis.
+        logits: logits of the bins of each axis.
         targets: true coordinates in the unit cube.
-        image_of_pixel: which picture a pixel belongs to.
+        image_of_pixel: picture of each pixel.
         symmetries: signs about the center (`canonical_frame.symmetries`).
-        images: how many pictures; one without pixels is left out.
+        images: number of pictures; one without pixels is left out.
     """
     losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, images)
     shown = torch.bincount(image_of_pixel, minlength=images) > 0
@@ -231,7 +232,7 @@ def canonical_loss(
 
 
 def _neighbors(place: Tensor, scale: float, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The two coarse pixels around a fine one, and how far along from the first to the second."""
+    """Return the two coarse pixels around a fine one, and its position between them."""
     at = ((place + 0.5) * scale - 0.5).clamp(0.0, size - 1.0)
     low = at.floor()
     high = (low + 1).clamp(max=size - 1)

@@ -1,10 +1,10 @@
-"""Completion: from what is seen of a garment to all of it, in the canonical cube.
+"""Completion: from the visible part of a garment to all of it, in the canonical cube.
 
-The features of the seen pixels are gathered in a volume over the canonical cube, a 3-D U-Net fills
-in the rest, and small networks read the volume at any place (GarmentNets, arXiv 2104.05177, 3.3).
-
-Axes of a volume are x, y, z in that order, everywhere. The published code reads its volume with the
-axes reversed; here a cell that is filled at (x, y, z) is read at (x, y, z), by test.
+The features of the visible pixels are collected in a volume over the canonical cube, a 3-D U-Net
+fills in the rest, and small networks read the volume at any position (GarmentNets, arXiv
+2104.05177, 3.3). The axes of a volume are always x, y, z in that order. The published code reads
+its volume with the axes reversed. Here a test ensures that a cell filled at (x, y, z) is read at
+(x, y, z).
 """
 
 from dataclasses import dataclass
@@ -18,22 +18,22 @@ from torch.nn import functional
 from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 QUERIES_AT_ONCE = 1 << 17
-"""A grid is decoded in pieces of this many nodes, to bound the memory."""
+"""Number of grid nodes decoded at once, to bound the memory."""
 
 _GROUPS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedPoints:
-    """The seen points of a batch of pictures, one after the other.
+    """The visible points of a batch of pictures, concatenated.
 
     Attributes:
-        features: of each point's pixel.
+        features: features of each point's pixel.
         unit: canonical coordinates in the unit cube.
-        confidence: of each canonical coordinate, 0 to 1.
-        aligned: where the point was seen, turned into the canonical frame (`alignment_frame`), in
-            edges of the cube from its middle.
-        image: which picture the point belongs to.
+        confidence: confidence of each canonical coordinate, 0 to 1.
+        aligned: measured position, rotated into the canonical frame (`alignment_frame`), in edges
+            of the cube from its middle.
+        image: picture of each point.
         images: number of pictures.
     """
 
@@ -52,14 +52,14 @@ def scatter_max(
     images: int,
     cells: tuple[int, int, int],
 ) -> Float[Tensor, "images channels x y z"]:
-    """The largest value, per channel, of the points in each cell of a box; 0 where none is.
+    """Return the largest value per channel of the points in each cell of a box; 0 if empty.
 
     Args:
-        values: of the points, not negative.
-        unit: places of the points in the box, each coordinate from 0 to 1.
-        image: which volume a point goes to.
+        values: values of the points, not negative.
+        unit: positions of the points in the box, each coordinate from 0 to 1.
+        image: volume of each point.
         images: number of volumes.
-        cells: cells along x, y and z.
+        cells: number of cells along x, y and z.
     """
     wide, long, high = cells
     x, y, z = _cell_of(unit, cells).unbind(dim=1)
@@ -72,15 +72,15 @@ def scatter_max(
 def _cell_of(
     unit: Float[Tensor, "points 3"], cells: tuple[int, int, int]
 ) -> Int[Tensor, "points 3"]:
-    """The cell of the box in which a point lies; cell k spans k / cells to (k + 1) / cells."""
+    """Return the cell of a point in the box; cell k spans k / cells to (k + 1) / cells."""
     last = torch.tensor(cells, device=unit.device) - 1
     return torch.minimum((unit * (last + 1)).floor().long().clamp(min=0), last)
 
 
 def in_box(unit: Float[Tensor, "*points 3"], config: NetworkConfig) -> Float[Tensor, "*points 3"]:
-    """Places of the unit cube in the box that a volume covers; those beyond it at its walls.
+    """Return positions in the unit cube as positions in a volume's box, clipped to its walls.
 
-    The box is the cube, cut along z to `volume_depth` of `volume` cells about the middle.
+    The box is the cube, cropped along z to `volume_depth` of `volume` cells about the middle.
     """
     stretch = unit.new_tensor((1.0, 1.0, config.volume / config.volume_depth))
     return (0.5 + (unit - 0.5) * stretch).clamp(0.0, 1.0)
@@ -89,16 +89,17 @@ def in_box(unit: Float[Tensor, "*points 3"], config: NetworkConfig) -> Float[Ten
 def sample(
     volume: Float[Tensor, "batch channels x y z"], queries: Float[Tensor, "batch queries 3"]
 ) -> Float[Tensor, "batch queries channels"]:
-    """A volume at places of its box: linear between the centers of its cells.
+    """Return a volume at positions in its box, linear between the centers of its cells.
 
     Args:
         volume: axes x, y, z.
-        queries: places (x, y, z) in the box, each from 0 to 1; the border's value holds beyond it.
+        queries: positions (x, y, z) in the box, each from 0 to 1; beyond it the border's value is
+            used.
     """
     # `grid_sample` takes the last axis first and runs from -1 to 1 between the outer cell walls.
     grid = (2.0 * queries - 1.0).flip(-1)[:, :, None, None, :]
     found = functional.grid_sample(
-        # In half precision a place would be off by a tenth of a cell.
+        # In half precision a position would be off by a tenth of a cell.
         volume.to(grid.dtype),
         grid,
         mode="bilinear",
@@ -109,7 +110,7 @@ def sample(
 
 
 def perceptron(widths: tuple[int, ...]) -> nn.Sequential:
-    """Linear layers with ReLU between them, none after the last."""
+    """Return linear layers with ReLU between them, none after the last."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(widths):
         layers += [nn.Linear(inputs, outputs), nn.ReLU()]
@@ -120,7 +121,7 @@ class _VolumeUNet(nn.Module):
     """A 3-D U-Net: group norm, 3x3x3 convolution and ReLU, twice per resolution.
 
     Args:
-        channels: of the volume in and out.
+        channels: channels of the volume in and out.
         widths: channels at each resolution, halved from one to the next.
     """
 
@@ -139,7 +140,7 @@ class _VolumeUNet(nn.Module):
     def forward(
         self, volume: Float[Tensor, "batch channels x y z"]
     ) -> Float[Tensor, "batch channels x y z"]:
-        """The completed volume."""
+        """Return the completed volume."""
         skips = []
         for level, block in enumerate(self.down):
             volume = block(volume if level == 0 else functional.max_pool3d(volume, 2))
@@ -151,7 +152,7 @@ class _VolumeUNet(nn.Module):
 
 
 class Completion(nn.Module):
-    """Seen points to a feature volume over the canonical cube, and to the winding number in it.
+    """A network from visible points to a feature volume and the winding number in it.
 
     Args:
         config: sizes of the network.
@@ -161,7 +162,8 @@ class Completion(nn.Module):
     def __init__(self, config: NetworkConfig, point_channels: int) -> None:
         super().__init__()
         self.config = config
-        # A point also says where in its cell it lies, where it was seen and how sure that is.
+        # A point's input includes its position in its cell, its measured position and its
+        # confidence.
         hidden, channels = config.point_hidden, config.volume_channels
         self.points = perceptron((point_channels + 9, hidden, hidden, channels))
         self.unet = _VolumeUNet(channels, config.volume_widths)
@@ -169,7 +171,7 @@ class Completion(nn.Module):
         self.winding_decoder = perceptron((channels, wide, wide, 1))
 
     def forward(self, points: ObservedPoints) -> Float[Tensor, "images channels x y z"]:
-        """The completed volume of each picture."""
+        """Return the completed volume of each picture."""
         cells = self.config.volume_cells
         places = in_box(points.unit, self.config)
         in_cell = places * places.new_tensor(cells) - (_cell_of(places, cells) + 0.5)
@@ -182,7 +184,7 @@ class Completion(nn.Module):
         volume: Float[Tensor, "batch channels x y z"],
         queries: Float[Tensor, "batch queries 3"],
     ) -> Float[Tensor, "batch queries"]:
-        """The winding number of the canonical garment at places of the unit cube."""
+        """Return the winding number of the canonical garment at positions in the unit cube."""
         return self.winding_decoder(sample(volume, in_box(queries, self.config)))[..., 0]
 
     def field(
@@ -190,11 +192,11 @@ class Completion(nn.Module):
         volume: Float[Tensor, "batch channels x y z"],
         nodes: Float[Tensor, "nodes 3"],
     ) -> Float[Tensor, "batch nodes"]:
-        """The winding number at many places, the same ones for every picture.
+        """Return the winding number at many positions, the same ones for every picture.
 
         Args:
-            volume: from `forward`.
-            nodes: places in the unit cube (`surface.FieldGrid.nodes`).
+            volume: volume from `forward`.
+            nodes: positions in the unit cube (`surface.FieldGrid.nodes`).
         """
         pieces = [
             self.winding(volume, piece.expand(len(volume), -1, -1))

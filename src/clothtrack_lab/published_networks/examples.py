@@ -1,8 +1,8 @@
-"""What the published networks are trained on: a picture, its canonical labels, and all the cloth.
+"""Training examples of the published networks: a picture, its canonical labels, and the cloth.
 
-Simulated states and pseudo-labels become examples here, by the same way and with the same
-augmentation: the camera and the cloth are mirrored and turned together about the vertical, so that
-picture, canonical coordinates and points can never disagree.
+Simulated states and pseudo-labels become examples by the same code and with the same augmentation.
+The camera and the cloth are mirrored and rotated together about the vertical, so that picture,
+canonical coordinates and points always agree.
 """
 
 from collections.abc import Sequence
@@ -30,16 +30,17 @@ from clothtrack_lab.published_networks.winding import WindingConfig, WindingPool
 
 @dataclass(frozen=True)
 class ExampleConfig(Checked):
-    """How an example is drawn from a labeled picture.
+    """The configuration of drawing an example from a labeled picture.
 
     Attributes:
-        surface_queries: material points per example whose position is asked for, uniform over the
-            cloth's area.
-        volume_queries: points of the unit cube per example whose winding number is asked for.
-        cut_m: a pixel further than this from the mesh [m] has no canonical label.
-        turn: turn camera and cloth about the vertical by any angle.
-        mirror: mirror camera and cloth, one time out of two.
-        winding: where winding numbers are known.
+        surface_queries: number of material points per example whose position is a target, uniform
+            over the cloth's area.
+        volume_queries: number of points in the unit cube per example whose winding number is a
+            target.
+        cut_m: distance from the mesh beyond which a pixel has no canonical label [m].
+        turn: whether to rotate camera and cloth about the vertical by any angle.
+        mirror: whether to mirror camera and cloth, one time out of two.
+        winding: points where winding numbers are known.
     """
 
     surface_queries: Count = 1024
@@ -50,7 +51,7 @@ class ExampleConfig(Checked):
     winding: WindingConfig = field(default_factory=WindingConfig)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be drawn.
+        """Refuse an impossible configuration.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -65,7 +66,7 @@ class ExampleConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Garment:
-    """What all states of one garment have in common; a towel's longer side is along x.
+    """The common data of all states of one garment; a towel's longer side is along x.
 
     Attributes:
         kind: "towel" or "tshirt".
@@ -83,17 +84,17 @@ class Garment:
 
     @classmethod
     def of(cls, mesh: ClothMesh, kind: str, config: WindingConfig, *, seed: int) -> "Garment":
-        """The garment of a flat mesh.
+        """Return the garment of a flat mesh.
 
         Args:
-            mesh: at rest, with canonical coordinates [m].
+            mesh: mesh at rest, with canonical coordinates [m].
             kind: "towel" or "tshirt".
-            config: where winding numbers are asked for.
-            seed: of these places.
+            config: points where winding numbers are computed.
+            seed: seed of these points.
 
         Raises:
-            InvalidConfigError: the mesh has no canonical coordinates, the kind no cube, or the
-                cube no room for them.
+            InvalidConfigError: the mesh has no canonical coordinates, the kind has no cube, or they
+                do not fit the cube.
         """
         if mesh.canonical is None:
             raise InvalidConfigError(
@@ -112,17 +113,17 @@ class Garment:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """One picture of one cloth, as the networks take it.
+    """One picture of one cloth, as the networks' input.
 
     Attributes:
-        depth: the network's picture [m]; 0 is background.
-        pixels: row and column, in the canonical picture, of each pixel of cloth.
-        points: where each of them was measured, in the world [m].
+        depth: network's picture [m]; 0 is background.
+        pixels: row and column of each pixel of cloth, in the canonical picture.
+        points: measured position of each pixel in the world [m].
         unit: its canonical coordinates [unit cube]; 0 where unknown.
         labeled: whether they are known.
         surface: canonical coordinates of material points [unit cube].
-        positions: where these points are, in the world [m].
-        volume: places in the unit cube.
+        positions: positions of these points in the world [m].
+        volume: positions in the unit cube.
         winding: winding number of the canonical garment there.
     """
 
@@ -148,10 +149,10 @@ def draw_example(
 
     Args:
         picture: depth picture and mesh.
-        garment: whose mesh it is.
-        network: what the picture is for.
-        config: augmentation and numbers.
-        rng: of everything random.
+        garment: garment of the mesh.
+        network: configuration of the network that takes the picture.
+        config: augmentation and numbers of queries.
+        rng: source of randomness.
 
     Raises:
         InvalidRecordingError: there is no cloth in the picture.
@@ -172,7 +173,7 @@ def draw_example(
     asked = rng.integers(len(garment.pool.points), size=config.volume_queries)
     volume = garment.pool.points[asked].copy()
     if mirror:
-        # The mirror image of a garment is one of the same kind; its labels are mirrored with it.
+        # The mirror image of a garment is of the same kind, so mirror its labels too.
         for one in (unit, surface, volume):
             one[:, 0] = 1.0 - one[:, 0]
     unit[~labeled] = 0.0
@@ -196,13 +197,13 @@ def _canonical_of_points(
     *,
     cut_m: float,
 ) -> tuple[Float[np.ndarray, "points 3"], Bool[np.ndarray, " points"]]:
-    """Canonical coordinates [unit cube] of measured points, by projection to the mesh.
+    """Return canonical coordinates [unit cube] of measured points, by projection to the mesh.
 
     Args:
-        points: on the surface that the picture's pixels measured, in the world [m].
-        picture: what shows which face.
-        garment: whose canonical coordinates are asked for.
-        cut_m: points further from the mesh [m] get none.
+        points: points on the surface measured by the picture's pixels, in the world [m].
+        picture: picture that shows the faces.
+        garment: garment with canonical coordinates.
+        cut_m: distance from the mesh beyond which points get none [m].
 
     Returns:
         The coordinates, and where they are known.
@@ -214,17 +215,17 @@ def _canonical_of_points(
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Examples one after the other.
+    """A batch of concatenated examples.
 
     Attributes:
         depth: pictures [m].
         pixels: picture, row and column of every pixel of cloth.
-        points: where each was measured, in the world [m].
+        points: measured position of each pixel in the world [m].
         unit: its canonical coordinates [unit cube]; 0 where unknown.
         labeled: whether they are known.
         surface: canonical coordinates of material points [unit cube].
-        positions: where these are, in the world [m].
-        volume: places in the unit cube.
+        positions: positions of these points in the world [m].
+        volume: positions in the unit cube.
         winding: winding number there.
     """
 
@@ -239,13 +240,13 @@ class Batch:
     winding: Float[Tensor, "batch volume"]
 
     def to(self, device: str) -> "Batch":
-        """The same on another device."""
+        """Return a copy on another device."""
         parts = {one.name: getattr(self, one.name).to(device) for one in fields(self)}
         return Batch(**parts)
 
 
 def collate(examples: Sequence[Example]) -> Batch:
-    """Examples as one batch; every picture keeps its own number of pixels."""
+    """Return examples as one batch; every picture keeps its own number of pixels."""
 
     def stacked(name: str) -> Tensor:
         return torch.from_numpy(np.stack([getattr(one, name) for one in examples]))

@@ -1,8 +1,8 @@
-"""HRNet: a convolutional encoder that keeps its fine resolution beside coarser ones.
+"""HRNet: a convolutional encoder that keeps its fine resolution parallel to coarser ones.
 
 Sun et al., "High-resolution representations for labeling pixels and regions" (arXiv 1904.04514),
-with the modules that MEDOR (arXiv 2209.03287) uses. Branches exchange what they know after every
-module; the result is all of them, brought to the finest resolution.
+with the modules that MEDOR (arXiv 2209.03287) uses. Branches exchange features after every module.
+The result is all branches, upsampled to the finest resolution.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ from torch.nn import functional
 
 _STEM_CHANNELS = 64
 MODULES = (1, 4, 3)
-"""Modules of the stages with two, three and four branches."""
+"""Number of modules in the stages with two, three and four branches."""
 
 _BLOCKS = 4
-"""Residual blocks of a branch in each module, and of the stage with a single branch."""
+"""Number of residual blocks per branch in each module, and in the stage with a single branch."""
 
 
 def convolution(inputs: int, outputs: int, *, size: int = 3, stride: int = 1) -> nn.Sequential:
-    """A convolution that keeps the picture's size (but for its stride) and a batch norm."""
+    """Return a size-preserving convolution (except for its stride) and a batch norm."""
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, size, stride, padding=size // 2, bias=False),
         nn.BatchNorm2d(outputs),
@@ -53,7 +53,7 @@ class ResidualBlock(nn.Module):
     def forward(
         self, picture: Float[Tensor, "batch inputs h w"]
     ) -> Float[Tensor, "batch outputs h w"]:
-        """The block's output, at the resolution of its input."""
+        """Return the block's output at the resolution of its input."""
         return functional.relu(self.shortcut(picture) + self.residual(picture))
 
 
@@ -88,7 +88,7 @@ class HRNet(nn.Module):
     def forward(
         self, picture: Float[Tensor, "batch inputs h w"]
     ) -> Float[Tensor, "batch channels h4 w4"]:
-        """All branches at the resolution of the finest one."""
+        """Return all branches at the resolution of the finest one."""
         branches = [self.first(self.stem(picture))]
         for stage in self.stages:
             branches = stage(branches)
@@ -98,7 +98,7 @@ class HRNet(nn.Module):
 
 
 class _Transition(nn.Module):
-    """Gives the branches their channels and starts one more, at half the coarsest resolution."""
+    """A layer that sets the branches' channels and adds one at half the coarsest resolution."""
 
     def __init__(self, previous: list[int], current: list[int]) -> None:
         super().__init__()
@@ -111,13 +111,13 @@ class _Transition(nn.Module):
         self.paths = nn.ModuleList([*same, new])
 
     def forward(self, branches: list[Tensor]) -> list[Tensor]:
-        """One branch more than came in."""
+        """Return one branch more than the input has."""
         sources = [*branches, branches[-1]]
         return [path(source) for path, source in zip(self.paths, sources, strict=True)]
 
 
 class _Exchange(nn.Module):
-    """Residual blocks in every branch, then each branch adds what the others know."""
+    """Residual blocks in every branch, followed by a sum over all branches in each."""
 
     def __init__(self, widths: list[int]) -> None:
         super().__init__()
@@ -131,7 +131,7 @@ class _Exchange(nn.Module):
         )
 
     def forward(self, branches: list[Tensor]) -> list[Tensor]:
-        """As many branches as came in."""
+        """Return as many branches as the input has."""
         own = [one(branch) for one, branch in zip(self.branches, branches, strict=True)]
         mixed = []
         for target, paths in enumerate(self.paths):
@@ -142,7 +142,7 @@ class _Exchange(nn.Module):
 
 
 def _path(widths: list[int], source: int, target: int) -> nn.Module:
-    """What one branch tells another: strided convolutions down, a 1x1 convolution on the way up."""
+    """Return the map between two branches: strided convolutions down, a 1x1 convolution up."""
     if source == target:
         return nn.Identity()
     if source > target:

@@ -1,4 +1,4 @@
-"""The whole reconstruction: one depth picture in, the full mesh out."""
+"""The whole reconstruction, from one depth picture to the full mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -43,18 +43,18 @@ from clothtrack_lab.published_networks.warp_field import WarpField
 
 
 class MeshReconstructor(nn.Module):
-    """Canonicaliser, completion and warp field, and the two ways from them to a mesh.
+    """Canonicaliser, completion and warp field, with two methods to make a mesh.
 
     Attributes:
         config: sizes of the networks.
-        frame: the canonical cube of the category that it is for.
+        frame: canonical cube of its category.
     """
 
     def __init__(self, config: NetworkConfig, kind: str) -> None:
-        """Untrained networks for one category.
+        """Make untrained networks for one category.
 
         Raises:
-            InvalidConfigError: for a category without a canonical pose.
+            InvalidConfigError: the category has no canonical pose.
         """
         super().__init__()
         self.config = config
@@ -65,7 +65,7 @@ class MeshReconstructor(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the weights are."""
+        """Device of the weights."""
         return next(self.parameters()).device
 
     def reconstruct(
@@ -80,22 +80,22 @@ class MeshReconstructor(nn.Module):
         table: Table | None = None,
         fit: TemplateFitConfig | None = None,
     ) -> tuple[Reconstruction, ...]:
-        """The full mesh behind each depth picture, as one batch.
+        """Return the full mesh for each depth picture, as one batch.
 
         Args:
             depth_m: measured depth [m]; 0 where nothing was measured.
-            cameras: one for all pictures, or one each; world z up.
-            kind: the category in the pictures.
-            masks: where the cloth is; everywhere that has a depth when None.
-            method: "template" carries the category's mesh and always gives one; "implicit" takes
+            cameras: one camera for all pictures, or one each; world z up.
+            kind: category in the pictures.
+            masks: masks of the cloth; all pixels with depth when None.
+            method: "template" fits the category's mesh and always gives one; "implicit" extracts
                 the surface from the winding number and may find none.
-            template: the flat garment when it is known; else its size is taken from the picture.
-            table: what the cloth lies on; under the lowest seen points when None.
-            fit: how the template is fitted.
+            template: flat garment if it is known; otherwise its size is estimated from the picture.
+            table: table under the cloth; under the lowest visible points when None.
+            fit: configuration of the template fit.
 
         Raises:
-            InvalidConfigError: when these networks are for another category.
-            InvalidRecordingError: when a picture shows no cloth, or counts differ.
+            InvalidConfigError: these networks are for another category.
+            InvalidRecordingError: a picture shows no cloth, or counts differ.
         """
         if kind != self.frame.kind:
             raise InvalidConfigError(
@@ -118,10 +118,10 @@ class MeshReconstructor(nn.Module):
 
     @torch.inference_mode()
     def observe(self, views: Sequence[CroppedView]) -> list["ObservedCloth"]:
-        """The networks' answer to each picture: canonical coordinates, and the completed volume.
+        """Return canonical coordinates and the completed volume for each picture.
 
         Args:
-            views: the networks' pictures.
+            views: input pictures of the networks.
         """
         self.eval()
         found = [cloth_pixels(view.depth, self.config) for view in views]
@@ -154,7 +154,7 @@ class MeshReconstructor(nn.Module):
     def carried(
         self, observed: "ObservedCloth", canonical: Float[np.ndarray, "places 3"]
     ) -> Float[np.ndarray, "places 3"]:
-        """Where the warp field says that canonical places [m] are, in the world [m]."""
+        """Return the positions of canonical points [m] in the world [m] by the warp field."""
         unit = torch.from_numpy(self.frame.to_unit(canonical)).float().to(self.device)
         moved = self.warp(observed.volume, unit[None])[0].double().cpu().numpy()
         return observed.alignment.to_world(canonical + moved)
@@ -193,15 +193,15 @@ class MeshReconstructor(nn.Module):
 
 @dataclass(frozen=True, eq=False)
 class ObservedCloth:
-    """One picture and what the networks make of it.
+    """One picture and the networks' outputs for it.
 
     Attributes:
-        view: the networks' picture.
-        found: its pixels of cloth.
-        seen: their places and canonical positions.
-        confidence: of the least sure axis of each pixel.
-        alignment: between the world and the canonical frame.
-        volume: the completed feature volume.
+        view: input picture of the networks.
+        found: cloth pixels of the picture.
+        seen: their positions and canonical positions.
+        confidence: confidence of the least certain axis of each pixel.
+        alignment: transform between the world and the canonical frame.
+        volume: completed feature volume.
     """
 
     view: CroppedView
@@ -230,7 +230,7 @@ def _views(
 
 
 _Found = tuple[ClothMesh | None, str, ClothMesh | None]
-"""A mesh, how it came about, and the flat garment that it was made from."""
+"""A mesh, the method that found it, and the flat garment that it was made from."""
 
 
 def _reconstruction(
@@ -251,13 +251,14 @@ def _reconstruction(
 
 
 def network_of(weights: Weights) -> NetworkConfig:
-    """The configuration of the networks that weights of both stages belong to.
+    """Return the configuration of the networks for weights of both stages.
 
-    The weights are compared with it before any network is built: what is built then is as large
-    as the file, and not as large as the file claims.
+    The weights are compared with it before any network is built. So the network is as large as the
+    weights in the file, not as large as the file claims.
 
     Raises:
-        InvalidResultError: it is none that this version knows, or its weights are others.
+        InvalidResultError: this version does not know the configuration, or the weights do not
+            match it.
     """
     try:
         values = {

@@ -1,6 +1,6 @@
-"""The card of a network: what it was trained on, how, how well, and what it cannot do.
+"""The model card of a network: training data, method, accuracy and limits.
 
-Written beside the weights from what the weights file and the training know, and from nothing else.
+It is written next to the weights, only from the content of the weights file and the training.
 """
 
 import hashlib
@@ -26,10 +26,10 @@ _LIMITS = """\
 
 
 def model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, Any]) -> str:
-    """The card, as Markdown.
+    """Return the card as Markdown.
 
     Args:
-        weights: of both stages, as they were written.
+        weights: weights of both stages, as written.
         cpu_s: CPU time of each stage [s], by name.
         made: versions and machine (`provenance.made_with`).
     """
@@ -70,7 +70,7 @@ def _data(data: Mapping[str, Any], kind: str) -> str:
 
 
 def _begun(data: Mapping[str, Any]) -> str:
-    """What a pretraining began with, if not with nothing."""
+    """Return the weights that a pretraining started from, if any."""
     if "start" not in data:
         return ""
     earlier = data["start"]["trained"].get(STAGES[0], {}).get("data", {}).get("states")
@@ -99,10 +99,10 @@ def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
 
 
 def write_model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, Any]) -> Path:
-    """Write the card beside the weights, whole or not at all.
+    """Write the card next to the weights, completely or not at all.
 
     Raises:
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     path = weights.path.with_name(CARD)
     with atomic_file(path) as unfinished:

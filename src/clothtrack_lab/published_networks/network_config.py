@@ -1,4 +1,4 @@
-"""Sizes of the reconstruction network, and its two presets."""
+"""Sizes of the reconstruction network and its two presets."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -23,8 +23,8 @@ _COUNTS = {
     "grid_margin": (0, 128),
     "surface_vertices": (4, 1_000_000),
 }
-"""Least and most of each count: a weights file says how large its network is, and one that was made
-to do harm must not take all memory."""
+"""Bounds of each count. Weights files state the size of their network, and the bounds keep a
+malicious one from using up all memory."""
 
 _PER_LEVEL = ("widths", "volume_widths")
 _LEVELS = 8
@@ -33,38 +33,39 @@ _NUMBERS = ("field_of_view_deg", "view_margin", "least_view_m", "trim", "trim_si
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Everything that the shape of the networks and of the extracted surface depends on.
+    """The sizes of the networks and of the extracted surface.
 
     Attributes:
         image_size: width and height of the network's depth picture [pixels].
-        field_of_view_deg: opening angle of the virtual camera that takes it [deg]; 45 as MEDOR.
+        field_of_view_deg: field of view of the virtual camera that takes it [deg]; 45 as in MEDOR.
         view_margin: free border around the cloth, as a share of its longer side.
-        least_view_m: shortest side of the square that the picture shows [m]: a bunched cloth is
-            not magnified further.
-        depth_channels: 1 feeds meters as they are (MEDOR); 3 feeds the silhouette, the height over
-            the cloth's mean and that mean depth, which shows millimeters to a young network.
-        encoder: "unet", or "hrnet_w32" (arXiv 1908.07919) as MEDOR.
+        least_view_m: shortest side of the square shown in the picture [m], so that a bunched cloth
+            is not magnified further.
+        depth_channels: 1 feeds depth in meters (MEDOR); 3 feeds the silhouette, the height above
+            the cloth's mean and that mean depth, so that an untrained network can resolve
+            millimeters.
+        encoder: "unet", or "hrnet_w32" (arXiv 1908.07919) as in MEDOR.
         widths: channels of the encoder at each resolution, halved from one to the next.
-        decoder_width: channels of the feature of a pixel that the "unet" hands on.
-        head_width: channels of the hidden layer in front of the bins; 0 has none.
+        decoder_width: channels of a pixel's feature in the output of the "unet".
+        head_width: channels of the hidden layer before the bins; 0 for no hidden layer.
         output_stride: input pixels per output pixel.
-        bins: bins per canonical axis.
-        window: bins on either side of the best one that a coordinate is the mean of.
+        bins: number of bins per canonical axis.
+        window: bins on either side of the best one over which a coordinate is averaged.
         volume: cells along each edge of the cube in the feature volume.
-        volume_depth: cells along z; fewer than `volume` leave the cube's front and back out, where
-            no garment is: a T-shirt fills 0.2 of it. The U-Net's time is proportional to it.
+        volume_depth: cells along z; fewer than `volume` leave out the cube's front and back, where
+            no garment is (a T-shirt fills 0.2 of it). The U-Net's time is proportional to it.
         volume_channels: channels of a cell.
-        point_hidden: width of the point network in front of the volume.
+        point_hidden: width of the point network before the volume.
         volume_widths: channels of the 3-D U-Net at each resolution.
         decoder_hidden: width of the two hidden layers of the winding and the warp decoder.
-        grid: nodes along each edge of the cube; the winding number is decoded at those that the
-            category's garments can reach, a third of them or less.
+        grid: nodes along each edge of the cube; the winding number is decoded only at those that
+            the category's garments can reach, a third of them or less.
         grid_margin: nodes decoded beyond the largest garment of the category.
-        trim: faces where the winding number changes less than this per node are openings; 0.25
-            suits perfect fields only, 0.1 survives a field blurred by two cells.
-        trim_sigma: width of the Gaussian under the gradient of the trim [nodes].
-        short_edge: edges of the surface below this share of the grid's spacing are collapsed.
-        surface_vertices: edges are collapsed until the surface has about as many vertices; the
+        trim: change of the winding number per node below which faces are openings; 0.25 suits only
+            perfect fields, 0.1 tolerates a field blurred by two cells.
+        trim_sigma: width of the Gaussian filter of the trim's gradient [nodes].
+        short_edge: share of the grid's spacing below which edges of the surface are collapsed.
+        surface_vertices: approximate number of vertices down to which edges are collapsed; the
             paper's meshes have 3,906 on average.
     """
 
@@ -94,7 +95,7 @@ class NetworkConfig:
     surface_vertices: int = 4000
 
     def __post_init__(self) -> None:
-        """Refuse what the networks cannot be built from.
+        """Refuse a configuration from which networks cannot be built.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
@@ -162,7 +163,7 @@ def _check_numbers(config: NetworkConfig) -> None:
 
 
 PRESETS: dict[str, NetworkConfig] = {
-    # For two processor cores: docs/method.md says what each size costs.
+    # For two processor cores; docs/method.md lists the cost of each size.
     "small": NetworkConfig(),
     # MEDOR (arXiv 2209.03287) as published, on GarmentNets' volume (arXiv 2104.05177).
     "reference": NetworkConfig(
@@ -181,7 +182,7 @@ PRESETS: dict[str, NetworkConfig] = {
         grid=128,
     ),
 }
-"""The networks that have a name."""
+"""Network configurations by name."""
 
 TINY_NETWORK = NetworkConfig(
     image_size=64,
@@ -195,17 +196,17 @@ TINY_NETWORK = NetworkConfig(
     decoder_hidden=16,
     grid=8,
 )
-"""Runs in milliseconds and learns nothing: for smoke runs and tests."""
+"""A network that runs in milliseconds and learns nothing, for smoke runs and tests."""
 
 
 def preset(name: str) -> NetworkConfig:
-    """The sizes of a named network.
+    """Return the sizes of a named network.
 
     Args:
         name: "small" or "reference".
 
     Raises:
-        InvalidConfigError: for another name.
+        InvalidConfigError: the name is another one.
     """
     if name not in PRESETS:
         raise InvalidConfigError(

@@ -1,7 +1,7 @@
-"""What the canonicaliser sees in a batch of pictures: one path for training and for use.
+"""Output of the canonicaliser for a batch of pictures, shared by training and inference.
 
-Each pixel gets a canonical position, and each picture's points are turned into the canonical frame:
-that is what the completion takes.
+Each pixel gets a canonical position, and each picture's points are rotated into the canonical
+frame. This is the input of the completion.
 """
 
 from typing import NamedTuple
@@ -19,12 +19,12 @@ from clothtrack_lab.published_networks.completion import ObservedPoints
 
 
 class ObservedPictures(NamedTuple):
-    """A batch of pictures as the canonicaliser sees them.
+    """The canonicaliser's output for a batch of pictures.
 
     Attributes:
-        points: of all pictures, as the completion takes them.
-        seen: of each picture, in meters.
-        alignments: of each picture, between the world and the canonical frame.
+        points: points of all pictures, as input of the completion.
+        seen: points of each picture, in meters.
+        alignments: transform of each picture between the world and the canonical frame.
     """
 
     points: ObservedPoints
@@ -40,14 +40,14 @@ def observe_pictures(
     pixels: Int[Tensor, "pixels 3"],
     points: Float[np.ndarray, "pixels 3"],
 ) -> ObservedPictures:
-    """Canonical positions of chosen pixels, and how each picture's world is aligned with them.
+    """Return canonical positions of chosen pixels, and each picture's alignment with the world.
 
     Args:
-        canonicaliser: in evaluation mode; it gets no gradients.
-        frame: the canonical cube.
-        depth: the networks' pictures [m]; 0 is background.
+        canonicaliser: network in evaluation mode; it gets no gradients.
+        frame: canonical cube.
+        depth: input pictures of the networks [m]; 0 is background.
         pixels: picture, row and column in the canonical picture.
-        points: where each pixel was seen [m], world, z up.
+        points: measured position of each pixel [m], world, z up.
     """
     maps = canonicaliser(depth)
     features = canonicaliser.pixel_features(maps, pixels)

@@ -1,4 +1,4 @@
-"""How the published network is trained: the loops of its stages, its sizes and its examples."""
+"""Training configuration of the published network: training loops, sizes and examples."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -15,17 +15,17 @@ TRAININGS = ("pretrain", "pretrain_reference", "finetune", "finetune_short", "pa
 
 
 def training_preset(name: str, stage: StageName) -> TrainingConfig:
-    """The settings of a kind of training.
+    """Return the settings of a kind of training.
 
     Args:
-        name: "pretrain": the `small` network from nothing; "pretrain_reference": the `reference`
-            network, as MEDOR was trained (arXiv 2209.03287: 1e-4, 350 and 150 epochs);
-            "finetune": on pseudo-labels until it gets no better; "finetune_short": on the same, one
-            rise and fall of a rate 10 times as high, minutes instead of hours on a processor, and
-            three in ten held out, for one trajectory is too little to select by;
+        name: "pretrain": the `small` network from scratch; "pretrain_reference": the `reference`
+            network, as MEDOR was trained (arXiv 2209.03287: 1e-4, 350 and 150 epochs); "finetune":
+            on pseudo-labels until the score stops improving; "finetune_short": on the same, with
+            one rise and fall of a 10 times higher rate, minutes instead of hours on a CPU, and
+            three in ten held out, because one trajectory is too little for model selection;
             "paper": fine-tuning as published, 1,000 and 2,000 epochs.
-        stage: what is trained; batches are 8 for canonicalisation and 24 for completion, as in
-            the reference's pretraining (the paper does not say).
+        stage: stage to train; the batch size is 8 for canonicalisation and 24 for completion, as in
+            the reference's pretraining (the paper does not state it).
 
     Raises:
         InvalidConfigError: there is no such preset.
@@ -63,14 +63,13 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
 
 @dataclass(frozen=True)
 class PublishedConfig:
-    """How the published network is trained.
+    """The training configuration of the published network.
 
     Attributes:
-        canonicalisation: the loop of the first stage.
-        completion: the loop of the second stage.
+        canonicalisation: training loop of the first stage.
+        completion: training loop of the second stage.
         examples: augmentation of the examples, and numbers of queries.
-        network: sizes of the networks that are pretrained; None: those of the weights that are
-            fine-tuned.
+        network: sizes of the networks to pretrain; None for those of the weights to fine-tune.
     """
 
     canonicalisation: TrainingConfig
@@ -84,8 +83,8 @@ class PublishedConfig:
 
         Args:
             training: "pretrain", "finetune", "finetune_short" or "paper" (`training_preset`).
-            network: the sizes to pretrain: "small" or "reference".
-            seed: of weights, order and everything random in the examples.
+            network: sizes to pretrain: "small" or "reference".
+            seed: seed of weights, order and all random draws of the examples.
 
         Raises:
             InvalidConfigError: there is no such training or network.

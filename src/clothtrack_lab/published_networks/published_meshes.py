@@ -1,4 +1,4 @@
-"""Meshes of pictures by the published network, at the size that fits, and their fine-tuning."""
+"""Meshes from pictures by the published network at the best-fitting size, with fine-tuning."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -34,22 +34,22 @@ from clothtrack_lab.published_networks.refinement import (
 from clothtrack_lab.published_networks.template_fit import TemplateFitConfig
 
 _OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
-"""By what a garment that the network does not know so large, or so small, is multiplied."""
+"""Scale factors tried for garments larger or smaller than those that the network was trained on."""
 
 SEEN_MOBILITY = 0.1
-"""Mobility of a vertex that is seen when a fine-tuned mesh is taken apart: what is seen is where it
-was measured, and what is hidden was guessed."""
+"""Mobility of a visible vertex while self-intersections of a fine-tuned mesh are resolved. Visible
+vertices were measured, and hidden ones were guessed."""
 
 
 class PublishedMeshes:
-    """Meshes of pictures by a published network (`design.Reconstructor`).
+    """A reconstructor of meshes by a published network (`design.Reconstructor`).
 
     Attributes:
-        states_error: the network does not say how far off its vertices are.
+        states_error: false, because the network does not predict the error of its vertices.
 
     Args:
-        network: for one kind of garment.
-        refinement: how a mesh is fine-tuned to its picture.
+        network: network for one kind of garment.
+        refinement: configuration of fine-tuning a mesh to its picture.
     """
 
     states_error = False
@@ -61,12 +61,12 @@ class PublishedMeshes:
 
     @classmethod
     def load(cls, weights: Weights, kind: str, *, device: str = "cpu") -> "PublishedMeshes":
-        """Return the network of weights that were read.
+        """Return the reconstructor for weights that were read.
 
         Args:
-            weights: of both stages.
+            weights: weights of both stages.
             kind: "towel" or "tshirt".
-            device: where to compute.
+            device: device to compute on.
 
         Raises:
             InvalidResultError: the weights are damaged or for another garment.
@@ -94,10 +94,10 @@ class PublishedMeshes:
         observation: Observation | None = None,
         device: str = "cpu",
     ) -> NetworkMesh:
-        """Return the mesh of canonical coordinates, completion and warp field.
+        """Return the mesh from canonical coordinates, completion and warp field.
 
-        Arguments and errors are those of `design.Reconstructor.mesh`. `device` is that of the
-        fine-tuning; the networks compute where they are.
+        Arguments and errors are those of `design.Reconstructor.mesh`. `device` is used for
+        fine-tuning; the networks compute on their own device.
         """
         if template is None and size_m is not None and method == "template":
             template = garment(kind, vertex_count=vertex_count, size_m=size_m)
@@ -122,12 +122,13 @@ class PublishedMeshes:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """What the published network makes of a picture.
+    """The published network's output for a picture.
 
     Attributes:
-        reconstruction: its mesh.
-        canonical: of the mesh's vertices, as the observed points are named; None without a mesh.
-        scale: as in `NetworkMesh`.
+        reconstruction: reconstructed mesh.
+        canonical: canonical coordinates of the mesh's vertices, in the convention of the observed
+            points; None without a mesh.
+        scale: scale as in `NetworkMesh`.
     """
 
     reconstruction: Reconstruction
@@ -144,7 +145,7 @@ def _fine_tuned(
     table: Table | None,
     device: str,
 ) -> NetworkMesh:
-    """The same, its mesh drawn to what was observed."""
+    """Return the answer with its mesh fine-tuned to the observation."""
     assert result.mesh is not None
     refiner = Refiner(
         replace(result.mesh, canonical=canonical),
@@ -160,7 +161,7 @@ def _fine_tuned(
 
 
 def _taken_apart(result: NetworkMesh, picture: DepthInput, device: str) -> NetworkMesh:
-    """The same without passages through itself, as far as they can be undone."""
+    """Return the mesh with self-intersections resolved as far as possible."""
     mesh, rest = result.mesh, result.reconstruction.rest
     if mesh is None or rest is None:
         return result
@@ -186,7 +187,7 @@ def _answer(
     method: Method,
     vertex_count: int,
 ) -> _Answer:
-    """Canonical coordinates, then completion; at other sizes where the picture does not fit."""
+    """Return the network's mesh, trying other sizes if the picture does not fit."""
 
     def seen_as(scale: float) -> Reconstruction:
         shown = picture.scaled(scale)
@@ -206,17 +207,17 @@ def _answer(
     mesh = reconstruction.mesh
     if mesh is None or mesh.canonical is None:
         return _Answer(reconstruction, None, scale)
-    # Observed coordinates follow the convention of the networks, the garment's its own.
+    # Observed coordinates follow the networks' convention; the garment's must be converted.
     return _Answer(reconstruction, conventional(mesh.canonical, kind), scale)
 
 
 def _best_size(
     seen_as: Callable[[float], Reconstruction], picture: DepthInput
 ) -> tuple[Reconstruction, float]:
-    """The picture as it is; or, where that fits badly, at the size that fits best.
+    """Return the mesh at the picture's scale, or, if that fits badly, at the best-fitting scale.
 
-    The network knows garments of the sizes that it was trained on, and takes another for a crumpled
-    one of its own. Folds look much alike at all sizes.
+    The network takes a garment of a size that it was not trained on for a crumpled one of a size
+    that it was. Folds look much alike at all sizes.
     """
     found = seen_as(1.0)
     if found.mesh is None or distance_from_picture(found.mesh, picture) <= LOOSE_FIT_M:
@@ -225,6 +226,6 @@ def _best_size(
     apart = [
         np.inf if one.mesh is None else distance_from_picture(one.mesh, picture) for one, _ in tried
     ]
-    # Half as far, or else it is no other size but another bad guess.
+    # Require half the distance, because otherwise it is not another size but another bad fit.
     best = int(np.argmin(apart))
     return tried[best if apart[best] < 0.5 * apart[0] else 0]

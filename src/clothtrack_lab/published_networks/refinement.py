@@ -1,11 +1,11 @@
-"""Test-time fine-tuning: a reconstructed mesh is drawn to the very picture that it was made from.
+"""Test-time fine-tuning of a reconstructed mesh to the picture that it was made from.
 
 The terms are those of the network that the paper builds on (MEDOR, arXiv 2209.03287, Sec. IV-C):
-points of the cloud to visible vertices (Chamfer), observed points to the place on the mesh that
-their canonical coordinates name (observation consistency), nothing under the table, and optionally
-a Laplacian of the mesh and the length of its edges. Consistency is quadratic and solved at once;
-all else is the tracker's own alignment. Where the flat garment is known, the cloth solver carries
-the correction out, so that layers keep their sides and edges their lengths.
+distance of cloud points to visible vertices (Chamfer), distance of observed points to the mesh
+points with their canonical coordinates (observation consistency), nothing under the table, and
+optionally a Laplacian of the mesh and the length of its edges. Consistency is quadratic and solved
+directly. The other terms use the tracker's own alignment. If the flat garment is known, the cloth
+solver carries out the correction, so that layers keep their sides and edges their lengths.
 """
 
 import logging
@@ -39,36 +39,40 @@ _LIFT_M = 0.05
 
 
 ALIGNMENT = AlignmentConfig(iterations=50)
-"""Chamfer, table and length of edges of each round: two of 50 steps are the reference's 100."""
+"""Chamfer, table and edge length terms of each round; two rounds of 50 steps are the reference's
+100."""
 
 ROLL_S = 0.1
-"""Time over which the solver carries a correction out [s]: short, so that gravity has no say."""
+"""Time over which the solver carries out a correction [s]; short, so that gravity has little
+effect."""
 
 _OFF_MESH_M = 0.02
-"""A canonical coordinate this far from the mesh counts 1 / e [m]."""
+"""Distance of a canonical coordinate from the mesh at which its weight is 1 / e [m]."""
 
 VISIBILITY_WIDTH = 320
 """Width of the z-buffer that decides visibility [pixels]."""
 
 VISIBILITY_TOLERANCE_M = 0.003
-"""How far behind the z-buffer's surface a vertex is still visible [m]: below the distance of two
-layers."""
+"""Distance behind the z-buffer's surface up to which a vertex is visible [m]; less than the
+distance of two layers."""
 
 
 @dataclass(frozen=True)
 class RefinementConfig(Checked):
-    """How a reconstructed mesh is fine-tuned.
+    """The configuration of fine-tuning a reconstructed mesh.
 
     Attributes:
-        rounds: corrections, each from what became of the one before.
-        consistency_rounds: the first so many of them begin with observation consistency; the
-            reference takes it back after half of its iterations.
-        consistency_weight: of observation consistency (the reference: 10); 0 leaves it out.
-        rigidity_weight: difference of the displacements along edges while it is solved, as in the
-            alignment that follows (the paper: 10).
-        outlier_m: an observed point that misses its place on the mesh by this counts a quarter [m]:
-            its canonical coordinate is wrong (S. Geman, D. McClure, 1987).
-        strength: of the pull on visible vertices while the solver carries a correction out.
+        rounds: number of corrections, each starting from the result of the one before.
+        consistency_rounds: number of first rounds that begin with observation consistency; the
+            reference drops it after half of its iterations.
+        consistency_weight: weight of observation consistency (the reference: 10); 0 leaves it out.
+        rigidity_weight: weight of differences of displacements along edges in its solution, as in
+            the alignment that follows (the paper: 10).
+        outlier_m: distance of an observed point from its position on the mesh at which its weight
+            is a quarter [m], because its canonical coordinate is wrong (S. Geman, D. McClure,
+            1987).
+        strength: strength of the pull on visible vertices while the solver carries out a
+            correction.
     """
 
     rounds: Count = 2
@@ -93,16 +97,16 @@ class RefinementConfig(Checked):
 
 
 class Refiner:
-    """Fine-tunes one reconstructed mesh against what was observed.
+    """A fine-tuner of one reconstructed mesh to its observation.
 
     Args:
-        mesh: the reconstruction in the world [m]; its canonical coordinates [m], where it has some,
-            in the convention of those that were observed.
-        observation: the cloud and the cameras that saw it.
+        mesh: reconstruction in the world [m]; its canonical coordinates [m], if any, are in the
+            convention of the observed ones.
+        observation: cloud and the cameras that saw it.
         config: terms and their weights.
-        rest: the flat garment at rest, vertex by vertex the mesh's; None when it is not known: then
-            edges keep the lengths of the reconstruction, and vertices are displaced at once.
-        table: what the cloth lies on.
+        rest: flat garment at rest with the mesh's vertices; None if it is not known. Then edges
+            keep the lengths of the reconstruction, and vertices are displaced directly.
+        table: table under the cloth.
         device: "cpu" or "cuda:0".
 
     Raises:
@@ -138,7 +142,7 @@ class Refiner:
             self._dynamics = self._laid_out(rest, device)
 
     def refine(self, seen: SeenPoints | None = None) -> Refinement:
-        """Correct the mesh, and keep what is nearest to the cloud.
+        """Correct the mesh, and keep the result nearest to the cloud.
 
         Args:
             seen: observed points with canonical coordinates; None leaves consistency out.
@@ -180,7 +184,7 @@ class Refiner:
         return two_way(positions[visible], self._observation.points)
 
     def _laid_out(self, rest: ClothMesh, device: str) -> ClothDynamics:
-        """The garment at rest over the table, its layers on their sides."""
+        """Return dynamics of the garment at rest above the table, with its layers' sides stored."""
         point = np.zeros(3) if self._table is None else self._table.point
         above = rest.vertices - rest.vertices[:, 2].min() * np.array([0.0, 0.0, 1.0])
         flat = rest.with_vertices(above + point + (0.0, 0.0, _LIFT_M))
@@ -194,11 +198,11 @@ class Refiner:
         wanted: Float[np.ndarray, "vertices 3"],
         visible: Bool[np.ndarray, " vertices"],
     ) -> Float[np.ndarray, "vertices 3"] | None:
-        """Where the vertices come to when visible ones are pulled; None when the cloth diverges."""
+        """Return the vertices after visible ones are pulled; None if the cloth diverges."""
         if self._dynamics is None:
             return wanted if np.isfinite(wanted).all() else None
         solver = self._dynamics.solver
-        # Hidden vertices begin where the correction carries them, and are left to the cloth.
+        # Hidden vertices start at their corrected positions and then follow the cloth.
         start = np.where(visible[:, None], positions, wanted)
         solver.place(start)
         solver.set_velocities(np.zeros_like(start, dtype=np.float32))
@@ -215,7 +219,7 @@ class Refiner:
 def consistent_displacement(
     mesh: ClothMesh, seen: SeenPoints, config: RefinementConfig
 ) -> Float[np.ndarray, "vertices 3"]:
-    """The displacement [m] that brings the mesh to where its pieces were seen (consistency).
+    """Return the displacement [m] of the mesh to where its points were seen (consistency).
 
     It minimizes, with x the vertices, S the interpolation to the canonical coordinates of observed
     points o, w their weights, and U the uniform Laplacian,
@@ -223,7 +227,7 @@ def consistent_displacement(
         c sum_p w_p |S_p (x + d) - o_p|^2 / sum_p w_p + b mean_ij |d_i - d_j|^2
 
     Args:
-        mesh: in the world [m], with canonical coordinates.
+        mesh: mesh in the world [m], with canonical coordinates.
         seen: observed points.
         config: weights and limits.
 
@@ -248,7 +252,7 @@ def consistent_displacement(
         return np.zeros((mesh.vertex_count, 3))
     data = shows.T @ sparse.diags_array(config.consistency_weight * weight / weight.sum())
     matrix = data @ shows + config.rigidity_weight / len(mesh.edges) * _edge_laplacian(mesh)
-    # A piece of the mesh in which nothing was seen has no equation: it stays where it is.
+    # A mesh component without observed points has no equation, so keep it in place.
     matrix = matrix + _STAYS / mesh.vertex_count * sparse.eye_array(mesh.vertex_count)
     return splu(matrix.tocsc()).solve(data @ miss)
 
@@ -257,7 +261,7 @@ _STAYS = 1e-6
 
 
 def _edge_laplacian(mesh: ClothMesh) -> sparse.csr_array:
-    """The matrix of the sum of squared differences along edges."""
+    """Return the matrix of the sum of squared differences along edges."""
     i, j = mesh.edges.T
     count = mesh.vertex_count
     ends = (np.concatenate([i, j]), np.concatenate([j, i]))

@@ -1,4 +1,4 @@
-"""The published networks as the core finds them: by an entry point of `clothtrack.networks`."""
+"""Registration of the published networks under an entry point of `clothtrack.networks`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clothtrack_lab.published_networks.published_config import PublishedConfig
 
 SHIPPED = Path(__file__).parent / "weights"
-"""Folder of the weights that come with the package, with a card each: KIND.safetensors."""
+"""Folder of the shipped weights KIND.safetensors, with a card each."""
 
 
 def _recognizes(weights: "Weights") -> bool:

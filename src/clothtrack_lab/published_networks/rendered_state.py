@@ -1,6 +1,6 @@
-"""A picture of a simulated state: a fresh camera above it, and a sensor that measures badly.
+"""Rendering of a simulated state by a random camera above it and a noisy sensor.
 
-What `token_pictures.py` renders for a whole batch, for one state and with its labels.
+It renders one state with its labels, as `token_pictures.py` does for a whole batch.
 """
 
 from dataclasses import replace
@@ -32,15 +32,15 @@ def render(
     config: RenderConfig,
     rng: np.random.Generator,
 ) -> LabeledPicture:
-    """A picture of a cloth on the table z = 0, by a camera above it that measures badly.
+    """Return a picture of a cloth on the table z = 0, by a camera above it with a noisy sensor.
 
-    Only the part of the camera's picture around the cloth is taken.
+    Only the part of the camera's picture around the cloth is rendered.
 
     Args:
         positions: vertices in the world [m].
-        mesh: the garment.
-        config: the cameras.
-        rng: of the camera and its noise.
+        mesh: mesh of the garment.
+        config: configuration of the cameras.
+        rng: source of the camera and its noise.
     """
     camera = _camera_above(positions, config, rng)
     drawn = Rasterizer(mesh.faces, camera).render(positions)
@@ -60,7 +60,7 @@ def _hidden(
     config: RenderConfig,
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, "height width"]:
-    """What a tool or a hand hides, and what the picture's border cuts off."""
+    """Return what a tool or a hand hides, and what the picture's border cuts off."""
     hidden = np.zeros(mask.shape, np.uint8)
     extent = np.ptp(positions[:, :2], axis=0).max()
     in_the_air = positions[:, 2].max() > 0.3 * extent
@@ -87,7 +87,7 @@ def _hidden(
 def _camera_above(
     positions: Float[np.ndarray, "vertices 3"], config: RenderConfig, rng: np.random.Generator
 ) -> Camera:
-    """A camera that looks down on the cloth; its picture is cut to what lies around it."""
+    """Return a camera that looks down on the cloth, with its picture cropped around the cloth."""
     low, high = positions.min(axis=0), positions.max(axis=0)
     extent = float((high - low)[:2].max())
     tilt_rad = np.radians(config.tilt_deg) * rng.standard_normal(2)
@@ -100,7 +100,7 @@ def _camera_above(
     pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ tilt
     target = 0.5 * (low + high)
     target[:2] += extent * rng.uniform(-config.offset, config.offset, 2)
-    # Clear of cloth that is lifted towards it, too.
+    # Keep clear of cloth that is lifted towards the camera, too.
     distance = min(extent * rng.uniform(*config.distance), max(USUAL_DISTANCE_M, 1.2 * extent))
     distance = max(LEAST_DISTANCE_M, distance)
     distance += 0.5 * float(high[2] - low[2])
@@ -108,7 +108,7 @@ def _camera_above(
     focal = rng.uniform(*config.focal)
     wide = Camera("top", 1, 1, focal, focal, 0.0, 0.0, pose)
     pixels, _ = wide.project(positions)
-    # The principal point stays in the picture, as where nothing was cut off.
+    # The principal point stays in the picture, as in an uncropped picture.
     first = np.floor(np.minimum(pixels.min(axis=0), 0.0)).astype(int) - _MARGIN_PIXELS
     last = np.ceil(np.maximum(pixels.max(axis=0), 0.0)).astype(int) + _MARGIN_PIXELS
     width, height = (last - first + 1).tolist()
@@ -122,7 +122,7 @@ def _perfect_depth(
     mesh: ClothMesh,
     camera: Camera,
 ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
-    """Depth [m] of cloth and table, and how squarely the line of sight meets them."""
+    """Return depth [m] of cloth and table, and the cosine between line of sight and normal."""
     across = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
     down = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)[:, None]
     rotation = camera.world_from_camera[:3, :3].astype(np.float32)
@@ -140,13 +140,13 @@ def _perfect_depth(
 
 
 def _wave(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "height width"]:
-    """A smooth random field, about one standard deviation strong."""
+    """Return a smooth random field with a standard deviation of about one."""
     coarse = rng.standard_normal((5, 6), dtype=np.float32)
     return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
 def _sensor(config: RenderConfig, rng: np.random.Generator) -> SensorConfig:
-    """The sensor on a better or a worse day."""
+    """Return a sensor with randomly scaled noise."""
     scale = rng.uniform(*config.noise_range)
     mean = config.sensors[int(rng.integers(len(config.sensors)))]
     return replace(
@@ -162,7 +162,7 @@ def _sensor(config: RenderConfig, rng: np.random.Generator) -> SensorConfig:
 def _jittered(
     mask: Bool[np.ndarray, "height width"], probability: float, rng: np.random.Generator
 ) -> Bool[np.ndarray, "height width"]:
-    """The mask as segmentation finds it: now and then up to 3 pixels too large or too small."""
+    """Return the mask, sometimes up to 3 pixels too large or too small, as from segmentation."""
     drawn = rng.random()
     if drawn >= 2.0 * probability:
         return mask

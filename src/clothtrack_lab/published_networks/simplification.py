@@ -1,4 +1,4 @@
-"""Makes the mesh of a marching-cubes surface fit for a cloth: manifold, one piece, no slivers."""
+"""Simplification of a marching-cubes surface to a cloth mesh: manifold, one piece, no slivers."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,13 +6,13 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 ROUNDS = 12
-"""Edges are collapsed in rounds of edges that do not touch; this many at most."""
+"""Largest number of rounds, each of which collapses edges that do not touch."""
 
 _LEAST_AGREEMENT = 0.2
-"""A triangle may not turn by more than this cosine when an edge beside it is collapsed."""
+"""Least cosine of the angle by which a triangle may turn when an adjacent edge is collapsed."""
 
 _SLIVER = 0.02
-"""A triangle below this share of the usual area has no direction to speak of."""
+"""Share of the usual area below which a triangle has no reliable normal."""
 
 Vertices = Float[np.ndarray, "vertices 3"]
 Faces = Int[np.ndarray, "faces 3"]
@@ -20,7 +20,7 @@ _FacesKept = Int[np.ndarray, "faces_kept 3"]
 
 
 def largest_piece(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "kept 3"]:
-    """The faces of the piece with most faces; pieces are joined by edges."""
+    """Return the faces of the edge-connected component with most faces."""
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, edge = np.unique(sides, axis=0, return_inverse=True)
     owner = np.repeat(np.arange(len(faces)), 3)
@@ -31,7 +31,7 @@ def largest_piece(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "kept 3"
 
 
 def without_pinches(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "kept 3"]:
-    """The faces without those that make two fans meet in one vertex; the larger fan stays."""
+    """Return the faces with a single fan at each vertex, keeping the larger fan."""
     while True:
         drop = np.zeros(len(faces), dtype=bool)
         for vertex in _pinched(faces).tolist():
@@ -46,23 +46,23 @@ def without_pinches(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "kept 
 def without_short_edges(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], shortest: float
 ) -> tuple[Float[np.ndarray, "kept 3"], Int[np.ndarray, "faces_kept 3"]]:
-    """The same surface with short edges drawn together to a point.
+    """Return the same surface with short edges collapsed.
 
-    An edge is kept when its collapse would join two layers, close an opening or fold a triangle
-    over (the link condition of Dey et al., 1999, and a limit on the turn of normals): a manifold
-    stays one, with as many openings.
+    An edge is kept if its collapse would join two layers, close an opening or fold a triangle over
+    (the link condition of Dey et al., 1999, and a limit on the turn of normals). So a manifold
+    stays a manifold with the same openings.
 
     Args:
         vertices: positions [m].
-        faces: of a manifold.
-        shortest: edges below this length are collapsed [m].
+        faces: faces of a manifold.
+        shortest: length below which edges are collapsed [m].
 
     Returns:
-        The vertices in use and the faces.
+        The used vertices and the faces.
     """
     for turn in range(ROUNDS):
-        # An edge that may not collapse stands in the way of its neighbors: let those go first in
-        # every second round.
+        # An edge that may not collapse blocks its neighbors, so reverse the order in every second
+        # round.
         target, collapsed = _collapse_once(vertices, faces, shortest, -1 if turn % 2 else 1)
         if not collapsed:
             break
@@ -73,7 +73,7 @@ def without_short_edges(
 def compact(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> tuple[Float[np.ndarray, "kept 3"], Int[np.ndarray, "faces 3"]]:
-    """The vertices that a face uses, in their order, and the faces with the new numbers."""
+    """Return the vertices used by faces, in order, and the faces with new indices."""
     used, numbers = np.unique(faces, return_inverse=True)
     return vertices[used], numbers.reshape(faces.shape).astype(np.int32)
 
@@ -81,7 +81,7 @@ def compact(
 def _collapse_once(
     vertices: Vertices, faces: Faces, shortest: float, way: int
 ) -> tuple[tuple[Vertices, _FacesKept], int]:
-    """One round: edges from short to long (`way` 1) or back, none beside another of the round."""
+    """Collapse independent edges, from short to long (`way` 1) or in reverse."""
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(sides, axis=0, return_counts=True)
     rim = np.zeros(len(vertices), dtype=bool)
@@ -93,7 +93,7 @@ def _collapse_once(
     kept, gone = _independent(edges, counts, short).T
     moved_to = np.arange(len(vertices))
     moved_to[gone] = kept
-    # The middle, but a rim stays where it is.
+    # Collapse to the middle, but keep a rim in place.
     blend = 0.5 * (1.0 + rim[gone] - rim[kept])[:, None]
     places = vertices.copy()
     places[kept] = places[gone] = (1.0 - blend) * vertices[kept] + blend * vertices[gone]
@@ -107,9 +107,9 @@ def _collapse_once(
 def _independent(
     edges: Int[np.ndarray, "edges 2"], counts: Int[np.ndarray, " edges"], order: np.ndarray
 ) -> Int[np.ndarray, "chosen 2"]:
-    """Edges, in this order of preference, whose rings of neighbors do not meet.
+    """Return edges, in this order of preference, whose rings of neighbors do not meet.
 
-    Only those that satisfy the link condition: the ends share as many neighbors as faces.
+    They satisfy the link condition: the ends share as many neighbors as faces.
     """
     beside: dict[int, set[int]] = {}
     for a, b in edges.tolist():
@@ -133,7 +133,7 @@ def _undo_folded(
     faces: Faces,
     collapses: Int[np.ndarray, "collapses 2"],
 ) -> None:
-    """Take back, in place, the collapses that turn a face beside them too far."""
+    """Undo, in place, the collapses that turn an adjacent face too far."""
     owner = np.full(len(vertices), -1)
     owner[collapses] = np.arange(len(collapses))[:, None]
     moving = owner[faces].max(axis=1)
@@ -143,7 +143,7 @@ def _undo_folded(
     size = np.linalg.norm(before, axis=1)
     lengths = size * np.linalg.norm(turned, axis=1)
     agreement = np.einsum("fi,fi->f", before, turned)
-    # The direction of a sliver means nothing.
+    # The normal of a sliver is meaningless.
     counts = size > _SLIVER * np.median(np.linalg.norm(_normals(vertices[faces]), axis=1))
     folded = counts & (agreement <= _LEAST_AGREEMENT * lengths)
     back = collapses[np.unique(moving[stays][folded])].ravel()
@@ -155,7 +155,7 @@ def _normals(corners: Float[np.ndarray, "faces 3 3"]) -> Float[np.ndarray, "face
 
 
 def _pinched(faces: Faces) -> Int[np.ndarray, " pinched"]:
-    """Vertices where more than one fan of faces meets: two edges more than faces."""
+    """Return vertices where several fans of faces meet: at least two edges more than faces."""
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges = np.unique(sides, axis=0)
     count = int(faces.max()) + 1 if len(faces) else 0
@@ -164,7 +164,7 @@ def _pinched(faces: Faces) -> Int[np.ndarray, " pinched"]:
 
 
 def _fans(around: Faces, vertex: int) -> Int[np.ndarray, " around"]:
-    """Which fan each face around a vertex belongs to: fans share an edge at the vertex."""
+    """Return the fan of each face around a vertex; faces of a fan share edges at the vertex."""
     beside = np.zeros((len(around), len(around)), dtype=bool)
     for other in np.setdiff1d(around, vertex):
         members = np.flatnonzero((around == other).any(axis=1))

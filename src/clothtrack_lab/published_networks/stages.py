@@ -1,8 +1,8 @@
-"""The two stages of training: which point each pixel shows, then all of the cloth.
+"""The two stages of training: canonicalisation of pixels, then completion of the cloth.
 
-Which of a garment's look-alike labelings is true cannot be seen (`first_mesh.symmetries`).
-Both stages take, for each picture as a whole, the one that fits what the canonicaliser says; errors
-are measured for the labeling as it was drawn, and up to symmetry, which is what selects.
+Which of a garment's symmetries is true cannot be seen (`first_mesh.symmetries`). Both stages use,
+for each picture as a whole, the one that fits the canonicaliser's output. Errors are measured for
+the symmetry as drawn, and up to symmetry, which is used for model selection.
 """
 
 from collections.abc import Mapping
@@ -31,19 +31,19 @@ from clothtrack_lab.published_networks.observation import observe_pictures
 from clothtrack_lab.published_networks.warp_field import RESIDUAL_M, WarpField
 
 _CLOSE = 0.05
-"""A canonical coordinate nearer to the truth than this [unit cube] counts as found."""
+"""Error below which a canonical coordinate counts as found [unit cube]."""
 
 
 class CanonicalisationStage(Stage):
-    """Stage 1: cross entropy of the bins, per picture the least over its look-alike labelings.
+    """Stage 1: cross entropy of the bins, per picture the least over the symmetries.
 
     Args:
-        canonicaliser: is trained.
-        kind: the garment.
+        canonicaliser: network to train.
+        kind: kind of garment.
     """
 
     name = "canonicalisation"
-    # The mean is lowest for a network that answers with the mean of all poses; the median is not.
+    # A network that predicts the mean of all poses minimizes the mean error but not the median.
     score = "median_error_mm"
     signs: Tensor
 
@@ -57,14 +57,14 @@ class CanonicalisationStage(Stage):
         self._frame = canonical_frame(kind)
 
     def forward(self, batch: Batch) -> Mapping[str, Tensor]:
-        """The loss [nat] of a batch, over the pixels that have a label."""
+        """Return the loss [nat] of a batch, over the labeled pixels."""
         pixels, unit = batch.pixels[batch.labeled], batch.unit[batch.labeled]
         logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
         loss = canonical_loss(logits, unit, pixels[:, 0], self.signs, len(batch.depth))
         return {"loss": loss}
 
     def measure(self, batch: Batch) -> Mapping[str, Tensor]:
-        """Canonical errors of each picture: median and mean [mm], share found; also as drawn."""
+        """Return each picture's errors: median and mean [mm], share found; also as drawn."""
         pixels, unit = batch.pixels[batch.labeled], batch.unit[batch.labeled]
         logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
         found, _ = coordinates(logits, self.network.window)
@@ -76,7 +76,7 @@ class CanonicalisationStage(Stage):
                 [(found[own] - _relabeled(unit[own], s)).norm(dim=1) for s in self.signs]
             )
             if errors.shape[1] == 0:
-                # A picture without a label says nothing, and is as bad as the cube is large.
+                # A picture without labels gets an error as large as the cube.
                 errors = errors.new_ones(len(self.signs), 1)
             best = errors[errors.mean(dim=1).argmin()]
             rows.append(
@@ -92,16 +92,16 @@ class CanonicalisationStage(Stage):
 
 
 class CompletionStage(Stage):
-    """Stage 2: winding number and displacement of the whole garment; canonicalisation stays.
+    """Stage 2: winding number and displacement of the whole garment, with frozen canonicalisation.
 
     The loss is the mean squared error of the winding number plus that of the displacement in units
     of `RESIDUAL_M`.
 
     Args:
-        canonicaliser: trained before; it is frozen.
-        completion: is trained.
-        warp: is trained.
-        kind: the garment.
+        canonicaliser: trained and frozen network of stage 1.
+        completion: network to train.
+        warp: warp field to train.
+        kind: kind of garment.
     """
 
     name = "completion"
@@ -122,13 +122,13 @@ class CompletionStage(Stage):
         self._is_sheet = kind in SHEETS
 
     def train(self, mode: bool = True) -> "CompletionStage":
-        """As any module, but for the canonicaliser, whose statistics stay as they are."""
+        """Set the mode, but keep the canonicaliser's statistics fixed."""
         super().train(mode)
         self.canonicaliser.eval()
         return self
 
     def forward(self, batch: Batch) -> Mapping[str, Tensor]:
-        """The loss of a batch and its two parts."""
+        """Return the loss of a batch and its two parts."""
         seen, alignments = self._observed(batch)
         chosen = nearest_labeling(seen, batch, self.signs)
         volume = self.completion(seen)
@@ -148,7 +148,7 @@ class CompletionStage(Stage):
         }
 
     def measure(self, batch: Batch) -> Mapping[str, Tensor]:
-        """Distance [mm] of the material points to the truth, and error (RMS) of the field."""
+        """Return the distance [mm] of material points to the truth, and the field's RMS error."""
         seen, alignments = self._observed(batch)
         volume = self.completion(seen)
         positions = self._aligned_positions(batch, alignments)
@@ -156,7 +156,7 @@ class CompletionStage(Stage):
         for signs in self.signs:
             surface = _relabeled(batch.surface, signs)
             moved = self._meters(surface) + self.warp(volume, surface)
-            # Alignment is rigid: distances in its frame are those in the world.
+            # Alignment is rigid, so distances in its frame equal those in the world.
             errors.append(1e3 * (moved - positions).norm(dim=2).mean(dim=1))
             winding = batch.winding * (signs[2] if self._is_sheet else 1.0)
             found = self.completion.winding(volume, _relabeled(batch.volume, signs))
@@ -170,7 +170,7 @@ class CompletionStage(Stage):
         }
 
     def _observed(self, batch: Batch) -> tuple[ObservedPoints, list[Alignment]]:
-        """The seen points as completion takes them, and each picture's alignment."""
+        """Return the visible points as input of the completion, and each picture's alignment."""
         observed = observe_pictures(
             self.canonicaliser,
             self._frame,
@@ -183,7 +183,7 @@ class CompletionStage(Stage):
     def _aligned_positions(
         self, batch: Batch, alignments: list[Alignment]
     ) -> Float[Tensor, "batch surface 3"]:
-        """The material points' places [m] in the frame of the observation."""
+        """Return the positions [m] of the material points in the frame of the observation."""
         placed = [
             alignment.to_canonical(positions)
             for alignment, positions in zip(
@@ -193,14 +193,14 @@ class CompletionStage(Stage):
         return torch.from_numpy(np.stack(placed)).to(batch.positions)
 
     def _meters(self, unit: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
-        """Places in the unit cube as canonical positions [m]."""
+        """Return positions in the unit cube as canonical positions [m]."""
         return (unit - 0.5) / self._frame.scale
 
 
 def nearest_labeling(
     seen: ObservedPoints, batch: Batch, signs: Float[Tensor, "symmetries 3"]
 ) -> Int[Tensor, " batch"]:
-    """For each picture the look-alike labeling that the canonicaliser has chosen."""
+    """Return, for each picture, the symmetry that the canonicaliser has chosen."""
     image, unit = seen.image[batch.labeled], batch.unit[batch.labeled]
     errors = []
     for one in signs:
@@ -212,13 +212,13 @@ def nearest_labeling(
 def canonicalisation_stage(
     network: NetworkConfig, kind: str, *, seed: int = 0
 ) -> CanonicalisationStage:
-    """Stage 1 with fresh weights."""
+    """Return stage 1 with fresh weights."""
     torch.manual_seed(seed)
     return CanonicalisationStage(Canonicaliser(network), kind)
 
 
 def completion_stage(canonicaliser: Canonicaliser, kind: str, *, seed: int = 0) -> CompletionStage:
-    """Stage 2 with fresh weights behind a trained canonicaliser."""
+    """Return stage 2 with fresh weights after a trained canonicaliser."""
     torch.manual_seed(seed)
     network = canonicaliser.config
     completion = Completion(network, canonicaliser.channels)

@@ -26,24 +26,24 @@ from clothtrack_lab.published_networks.rendered_state import render
 logger = logging.getLogger(__name__)
 
 _ATTEMPTS, _STATES_TRIED = 8, 4
-"""How often a state is rendered, and how many states are, before an example is given up."""
+"""Number of renderings per state, and of states, before an example is given up."""
 
 _ROOM = 0.98
-"""Share of its category's canonical cube that a garment may fill."""
+"""Largest share of its category's canonical cube that a garment may fill."""
 
 
 class StateExamples:
-    """Labeled states of simulated garments as examples of the published network.
+    """The labeled states of simulated garments as examples for the published network.
 
-    Each is a function of index, epoch and seed. Shards are read when the set is made, and again in
-    each process that makes examples.
+    Each example is a function of index, epoch and seed. Shards are read when the dataset is made,
+    and again in each process that makes examples.
 
     Args:
         sets: folders of states, all of one kind of garment.
-        network: what the pictures are for.
+        network: configuration of the network that takes the pictures.
         config: augmentation and numbers of queries.
-        rendering: the cameras.
-        seed: of everything random.
+        rendering: configuration of the cameras.
+        seed: seed of all random draws.
 
     Raises:
         InvalidConfigError: there is no state, or the sets are of several kinds.
@@ -83,14 +83,14 @@ class StateExamples:
         ]
 
     def __len__(self) -> int:
-        """Number of states."""
+        """Return the number of states."""
         return len(self._places)
 
     def __getitem__(self, draw: Draw) -> Example:
-        """The state, rendered and augmented for this epoch.
+        """Return the state, rendered and augmented for this epoch.
 
-        A camera may measure too little cloth to ask the network about, most often of a narrow
-        cloth that hangs before a hand. It is rendered again, and in the end another state is.
+        A camera may measure too little cloth for the network, most often of a narrow cloth that
+        hangs behind a hand. Then the state is rendered again, and finally another state is used.
 
         Raises:
             InvalidRecordingError: several states in turn could not be rendered.
@@ -119,7 +119,7 @@ class StateExamples:
         return self._garments[number]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the shards: a process reads its own."""
+        """Return the state without the shards, because each process reads its own."""
         return {**self.__dict__, "_shards": {}, "_garments": {}}
 
     def _shard(self, number: int) -> StateShard:
@@ -129,10 +129,10 @@ class StateExamples:
 
 
 def _in_cube(shard: StateShard) -> StateShard:
-    """The states as those of a garment that its category's canonical cube has room for.
+    """Return the states, scaled down if their garment does not fit its category's canonical cube.
 
-    A larger one is shown in a smaller world, as a picture of a garment of unknown size is
-    (`from_picture`); folds look much alike at all sizes.
+    The scaling is that of pictures of garments of unknown size (`from_picture`); folds look much
+    alike at all sizes.
     """
     reach_m = float(np.abs(np.asarray(shard.mesh.canonical)).max())
     room_m = _ROOM * 0.5 / canonical_frame(shard.kind).scale
@@ -144,13 +144,13 @@ def _in_cube(shard: StateShard) -> StateShard:
 
 
 class PseudoLabelExamples:
-    """Labeled recordings as examples.
+    """The labeled pictures of recordings as examples.
 
     Args:
-        recordings: all of one kind.
-        network: what the pictures are for.
+        recordings: labeled recordings, all of one kind.
+        network: configuration of the network that takes the pictures.
         config: augmentation and numbers of queries.
-        seed: of everything random.
+        seed: seed of all random draws.
 
     Raises:
         InvalidResultError: there is no label, or they are of several kinds.
@@ -184,11 +184,11 @@ class PseudoLabelExamples:
             self.groups += [one.name] * len(one.pictures)
 
     def __len__(self) -> int:
-        """Number of labeled pictures."""
+        """Return the number of labeled pictures."""
         return len(self._pictures)
 
     def __getitem__(self, draw: Draw) -> Example:
-        """The picture, augmented for this epoch."""
+        """Return the picture, augmented for this epoch."""
         index, epoch = draw
         rng = np.random.default_rng([self.seed, epoch, index])
         picture, labels = self._pictures[index], self._garments[index]

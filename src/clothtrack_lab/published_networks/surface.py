@@ -1,10 +1,10 @@
-"""The surface of a garment in a field of winding numbers, openings kept open.
+"""Extraction of a garment's surface from a field of winding numbers, with open openings.
 
-A garment of two layers encloses a volume: the winding number is about 1 inside and 0 outside, and
-its surface is where it passes 0.5. A single sheet encloses nothing, but the winding number jumps
-from 0.5 to -0.5 across it: its surface is at 0. In both, the level goes on through the openings,
-or beyond the rim, where the number changes slowly; faces there are cut away (GarmentNets, arXiv
-2104.05177, section 3.4).
+A garment of two layers encloses a volume. The winding number is about 1 inside and 0 outside, and
+the surface is where it crosses 0.5. A single sheet encloses nothing, but the winding number jumps
+from 0.5 to -0.5 across it, so its surface is at 0. In both cases the level set continues through
+the openings, or beyond the rim, where the number changes slowly. Faces there are cut away
+(GarmentNets, arXiv 2104.05177, section 3.4).
 """
 
 from dataclasses import dataclass
@@ -26,19 +26,20 @@ from clothtrack_lab.published_networks.simplification import (
 )
 
 _LEVELS = {"towel": 0.0, "tshirt": 0.5}
-"""The winding number on the surface of each category."""
+"""Winding number on the surface of each category."""
 
 _LEAST_FACES = 20
-"""What has fewer faces is no garment."""
+"""Least number of faces of a garment."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What was found in a field.
+    """The surface found in a field.
 
     Attributes:
-        mesh: in its canonical pose [m], its canonical coordinates the same; None without surface.
-        status: "surface", or why there is none.
+        mesh: mesh in its canonical pose [m], with the same canonical coordinates; None without
+            surface.
+        status: "surface", or the reason why there is none.
     """
 
     mesh: ClothMesh | None
@@ -47,12 +48,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class FieldGrid:
-    """The nodes at which a winding number is wanted: a box of a grid over the unit cube.
+    """The nodes at which winding numbers are computed: a box of a grid over the unit cube.
 
     Attributes:
-        per_edge: nodes along an edge of the cube, corners included.
-        first: number of the box's first node along each axis.
-        shape: nodes of the box along each axis.
+        per_edge: number of nodes along an edge of the cube, corners included.
+        first: index of the box's first node along each axis.
+        shape: number of nodes of the box along each axis.
     """
 
     per_edge: int
@@ -60,20 +61,20 @@ class FieldGrid:
     shape: tuple[int, int, int]
 
     def to_unit(self, places: Float[np.ndarray, "places 3"]) -> Float[np.ndarray, "places 3"]:
-        """Places counted in nodes of the box, in the unit cube."""
+        """Return positions given in nodes of the box as positions in the unit cube."""
         return (places + np.asarray(self.first)) / (self.per_edge - 1)
 
     @property
     def nodes(self) -> Float[np.ndarray, "nodes 3"]:
-        """The nodes in the unit cube; z runs fastest."""
+        """Nodes in the unit cube; z runs fastest."""
         return self.to_unit(np.indices(self.shape).reshape(3, -1).T.astype(np.float64))
 
 
 def field_grid(frame: CanonicalFrame, config: NetworkConfig) -> FieldGrid:
-    """The nodes that the garments of a category can reach: flat garments fill few layers.
+    """Return the nodes that garments of a category can reach, which are few layers for flat ones.
 
     Args:
-        frame: the category's cube.
+        frame: cube of the category.
         config: nodes per edge and margin.
     """
     half = np.asarray(frame.half_m)
@@ -89,19 +90,19 @@ def field_grid(frame: CanonicalFrame, config: NetworkConfig) -> FieldGrid:
 def extract_surface(
     field: Float[np.ndarray, "x y z"], frame: CanonicalFrame, config: NetworkConfig
 ) -> Surface:
-    """The largest piece of a garment's surface, as a mesh that the solver can take.
+    """Return the largest component of a garment's surface, as a mesh that the solver can use.
 
     Args:
         field: winding numbers at the nodes of `field_grid`.
-        frame: the category's cube.
+        frame: cube of the category.
         config: trim and shortest edge.
 
     Returns:
-        The mesh, or an answer that says why there is none: an empty field is an ordinary outcome
-        of a young network.
+        The mesh, or the reason why there is none, because an empty field is a normal output of an
+        untrained network.
 
     Raises:
-        InvalidConfigError: for a category whose level is not known.
+        InvalidConfigError: the level of the category is not known.
     """
     if frame.kind not in _LEVELS:
         raise InvalidConfigError(
@@ -113,8 +114,8 @@ def extract_surface(
         return Surface(
             None, f"no surface: winding numbers from {low:.2f} to {high:.2f} never pass {level}"
         )
-    # "ascent" turns the faces outward: the number falls on the way out, and on the way up through
-    # a sheet whose faces look up.
+    # "ascent" orients the faces outward: the number decreases outwards, and upwards through a sheet
+    # whose faces point up.
     places, faces, _, _ = marching_cubes(
         field.astype(np.float32), level, gradient_direction="ascent", allow_degenerate=False
     )
@@ -146,7 +147,7 @@ _SHORT = 0.75
 def _edge_for(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], count: int
 ) -> float:
-    """Edge [m] of the equilateral triangles that cover the surface with this many vertices."""
+    """Return the edge [m] of equilateral triangles that cover the surface with `vertices`."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     return float(np.sqrt(area / (count * np.sqrt(0.75))))

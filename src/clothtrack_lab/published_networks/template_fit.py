@@ -1,9 +1,9 @@
-"""Lays the category's mesh into an observation: always a mesh that the solver can take.
+"""Fitting of the category's mesh to an observation, which always gives a mesh for the solver.
 
-Seen points draw the places of the mesh that they show; what is hidden follows from smoothness, from
-the warp field and from the layer it is sewn to, in one sparse least-squares problem; then the cloth
-solver pulls the result straight, so that edges have their lengths, layers do not cross and nothing
-is under the table.
+Visible points attract the mesh points that they show. Hidden parts follow from smoothness, from the
+warp field and from the layer they are sewn to, in one sparse least-squares problem. Then the cloth
+solver corrects the result, so that edges have their lengths, layers do not cross and nothing is
+under the table.
 """
 
 from dataclasses import dataclass, replace
@@ -30,41 +30,41 @@ from clothtrack_lab.published_networks.canonical_frame import CanonicalFrame
 CLOTH = ClothParameters(
     stretch_compliance=3e-3, bend_compliance=0.3, table_friction=0.0, particle_friction=0.0
 )
-"""What the garment is made of while it is laid into a picture. It slides freely, for a correction
-is no motion, and gives a little. It is stiff: what a network places too near together must slide
-apart, where soft cloth would fall into wrinkles that nobody saw."""
+"""Material of the garment during the fit. It slides freely, because a correction is not a motion,
+and it is slightly compliant. It bends stiffly, so that vertices that a network places too close
+together slide apart instead of forming wrinkles that were not observed."""
 
 _SMOOTHNESS = 0.5
-"""Weight of bending away from a flat sheet, against 1 for a vertex that is well seen."""
+"""Weight of bending away from a flat sheet, relative to 1 for a well-observed vertex."""
 
 _LAYER_WEIGHT = 0.02
-"""Weight of a vertex staying with the other layer of its garment."""
+"""Weight that keeps a vertex near the other layer of its garment."""
 
 _POSE_WEIGHT = 1e-5
-"""Weight of the rigidly aligned flat garment; decides only where nothing else does."""
+"""Weight of the rigidly aligned flat garment; it matters only where nothing else does."""
 
 _OFF_TEMPLATE_M = 0.02
-"""A canonical coordinate this far from the template counts 1 / e [m]."""
+"""Distance of a canonical coordinate from the template at which its weight is 1 / e [m]."""
 
 _PULL_S = 0.02
-"""Length of a step of the solver that pulls the fit straight [s]."""
+"""Time step of the solver that corrects the fit [s]."""
 
 NO_CANONICAL = "the template has no canonical coordinates; make it with clothtrack's garments"
 
 
 @dataclass(frozen=True)
 class TemplateFitConfig:
-    """How a template is fitted. Weights are against 1 for a vertex that is well seen.
+    """The configuration of a template fit; weights are relative to 1 for a well-observed vertex.
 
     Attributes:
-        vertex_count: about how many vertices the template gets.
+        vertex_count: approximate number of vertices of the template.
         warp_weight: weight of the warp field.
-        outlier_m: a point that the fit misses by this counts a quarter [m]: its canonical
-            coordinate is wrong (S. Geman, D. McClure, 1987).
-        rounds: fits, each with the weights of the one before.
-        pulls: steps of the solver that pull the fit straight; 0 leaves it as it is.
-        pull: strength of the seen vertices' pull in each (`simulation.state.Attachment`).
-        thickness_m: distance that layers keep [m].
+        outlier_m: distance of a point from the fit at which its weight is a quarter [m], because
+            its canonical coordinate is wrong (S. Geman, D. McClure, 1987).
+        rounds: number of fits, each with the weights from the one before.
+        pulls: number of solver steps that correct the fit; 0 leaves it unchanged.
+        pull: strength of the pull on visible vertices in each (`simulation.state.Attachment`).
+        thickness_m: distance between layers [m].
     """
 
     vertex_count: int = 1000
@@ -83,19 +83,19 @@ def template_of(
     size_m: tuple[float, float] | None = None,
     vertex_count: int = 1000,
 ) -> ClothMesh:
-    """The flat garment of a category in the size that the canonical coordinates tell.
+    """Return the flat garment of a category in the size given by canonical coordinates.
 
     Args:
-        frame: the category.
-        seen: canonical coordinates; they reach as far as the garment does, where its rim is seen.
-        size_m: width and length when known [m].
-        vertex_count: about how many vertices.
+        frame: cube of the category.
+        seen: canonical coordinates, whose extent is that of the garment if its rim is visible.
+        size_m: width and length if known [m].
+        vertex_count: approximate number of vertices.
     """
     if size_m is None:
         usual = np.array(DEFAULT_SIZES_M[frame.kind])
         sure = seen.confidence >= np.median(seen.confidence)
         reach = 2.0 * np.percentile(np.abs(seen.canonical[sure, :2]), 99.0, axis=0)
-        # What is not seen cannot say that the garment is small.
+        # Limit the size from below, because parts of the garment may be hidden.
         width, length = np.clip(reach, 0.75 * usual, 2.0 * np.array(frame.half_m[:2]))
         size_m = float(width), float(length)
     return garment(frame.kind, vertex_count=vertex_count, size_m=size_m)
@@ -109,20 +109,20 @@ def fit_template(
     warp: Float[np.ndarray, "vertices 3"] | None = None,
     table: Table | None = None,
 ) -> ClothMesh:
-    """The template where the garment is.
+    """Return the template fitted to the observed garment.
 
     Args:
-        template: the flat garment at rest, canonical coordinates filled.
+        template: flat garment at rest with canonical coordinates.
         seen: measured points with canonical coordinates.
         config: weights and solver steps.
-        warp: where the warp field says that the vertices are [m], world; None leaves it out.
-        table: what the cloth lies on; at the height of the lowest seen points when None.
+        warp: vertex positions by the warp field [m], world; None leaves it out.
+        table: table under the cloth; at the height of the lowest visible points when None.
 
     Returns:
         The mesh in the world; its canonical coordinates are the template's.
 
     Raises:
-        InvalidConfigError: when the template has no canonical coordinates.
+        InvalidConfigError: the template has no canonical coordinates.
     """
     vertices, sightings = _least_squares(template, seen, config, warp)
     if config.pulls:
@@ -138,7 +138,7 @@ def _least_squares(
     config: TemplateFitConfig,
     warp: Float[np.ndarray, "vertices 3"] | None,
 ) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, " vertices"]]:
-    """Vertices [m], and how much each was seen (1 is well)."""
+    """Return vertices [m], and how well each was observed (1 is well)."""
     flat = _canonical(template)
     face, blend = closest_on_mesh(seen.canonical, flat, template.faces)
     shows = _barycentric(template, face, blend)
@@ -149,7 +149,7 @@ def _least_squares(
     trusted, vertices = weight, template.vertices
     for _ in range(config.rounds):
         sightings = shows.T @ trusted
-        # The mean seen vertex has weight 1, however many pixels show it.
+        # Scale weights so that the mean visible vertex has weight 1 for any number of pixels.
         trusted = trusted / np.mean(sightings[sightings > 0.01 * sightings.max()])
         data = shows.T @ sparse.diags_array(trusted)
         vertices = splu((data @ shows + prior).tocsc()).solve(data @ seen.points + target)
@@ -171,7 +171,7 @@ def _prior(
     pose: Float[np.ndarray, "vertices 3"],
     warp: Float[np.ndarray, "vertices 3"] | None,
 ) -> tuple[sparse.csc_array, Float[np.ndarray, "vertices 3"]]:
-    """Normal matrix and right side of all that is wanted of the mesh without a seen point."""
+    """Return normal matrix and right side of all terms without observed points."""
     bends = smoothness_matrix(template)
     count = template.vertex_count
     matrix = _SMOOTHNESS * (bends.T @ bends)
@@ -195,11 +195,11 @@ def _pulled_straight(
     table: Table,
     config: TemplateFitConfig,
 ) -> Float[np.ndarray, "vertices 3"]:
-    """The fit after the solver has had its say; seen vertices are pulled to where they are seen."""
+    """Return the fit corrected by the solver, with visible vertices pulled to observations."""
     solver_config = SolverConfig(thickness_m=config.thickness_m, table=table)
     flat = template.vertices + table.point + (0.0, 0.0, 0.05)
     solver = ClothSolver(replace(template, vertices=flat), solver_config, parameters=CLOTH)
-    # At rest the solver learns on which side of each other a garment's layers are.
+    # Step once at rest so that the solver stores on which sides of each other the layers are.
     solver.step(1e-3)
     solver.place(start)
     pull = np.minimum(sightings, 1.0) * config.pull
@@ -217,7 +217,7 @@ def _below_what_is_seen(
     table: Table,
     config: TemplateFitConfig,
 ) -> Float[np.ndarray, "vertices 3"]:
-    """The fit with its hidden vertices under the seen surface and above the table, by height."""
+    """Return the fit with hidden vertices moved below the visible surface and above the table."""
     hidden = sightings < _SEEN
     floor = table.point[2] + 0.5 * config.thickness_m
     near, nearest = cKDTree(points[:, :2]).query(vertices[:, :2])
@@ -230,7 +230,7 @@ def _below_what_is_seen(
 
 
 _SEEN = 0.2
-"""A vertex with fewer sightings is hidden."""
+"""Least sightings of a visible vertex; with fewer it is hidden."""
 
 
 def _table_under(points: Float[np.ndarray, "points 3"], config: TemplateFitConfig) -> Table:
@@ -241,7 +241,7 @@ def _table_under(points: Float[np.ndarray, "points 3"], config: TemplateFitConfi
 def _barycentric(
     template: ClothMesh, face: Int[np.ndarray, " places"], blend: Float[np.ndarray, "places 3"]
 ) -> sparse.csr_array:
-    """Rows that take vertices to places on faces."""
+    """Return matrix rows that interpolate vertices at points on faces."""
     rows = np.repeat(np.arange(len(face)), 3)
     places = (rows, template.faces[face].ravel())
     return sparse.coo_array((blend.ravel(), places), (len(face), template.vertex_count)).tocsr()

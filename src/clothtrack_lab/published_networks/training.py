@@ -1,4 +1,4 @@
-"""Pretraining and fine-tuning: both stages in turn, and one file of weights at the end."""
+"""Pretraining and fine-tuning of both stages in turn, with one file of weights at the end."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -53,22 +53,22 @@ def pretrain(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train both stages on simulated states, from nothing or further.
+    """Train both stages on simulated states, from scratch or from given weights.
 
     Args:
-        states: folders of one kind of garment.
-        config: how, and sizes of the networks.
-        folder: gets a folder per stage and `model.safetensors`.
-        start: weights of both stages to begin with, of the same garment and sizes.
-        hours: must be None: both stages learn for their epochs.
-        processes: who trains together.
-        progress: called after every step.
+        states: folders of states of one kind of garment.
+        config: training configuration and sizes of the networks.
+        folder: output folder for a folder per stage and `model.safetensors`.
+        start: initial weights of both stages, of the same garment and sizes.
+        hours: must be None, because both stages are trained for their epochs.
+        processes: processes that train together.
+        progress: function called after every step.
 
     Raises:
         InvalidConfigError: the states are too few or of several kinds, or `hours` is given.
         InvalidResultError: states or progress are damaged or belong to another training, or the
-            weights to begin with are of another garment or network.
-        StorageError: when the disk refuses.
+            initial weights are of another garment or network.
+        StorageError: the disk refuses.
     """
     if hours is not None:
         raise InvalidConfigError("--hours: a published network learns for its epochs; leave it out")
@@ -106,17 +106,17 @@ def finetune(
     """Train both stages further on pseudo-labels (paper, Sec. III-C).
 
     Args:
-        start: weights of both stages to begin with.
-        labels: labeled recordings of one kind; some are held out to select by.
-        config: how.
-        folder: gets a folder per stage and `model.safetensors`.
-        processes: who trains together.
-        progress: called after every step.
+        start: initial weights of both stages.
+        labels: labeled recordings of one kind; some are held out for model selection.
+        config: training configuration.
+        folder: output folder for a folder per stage and `model.safetensors`.
+        processes: processes that train together.
+        progress: function called after every step.
 
     Raises:
         InvalidConfigError: there are too few labels.
         InvalidResultError: weights or progress are damaged or do not belong together.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     network = network_of(start)
     seed = config.canonicalisation.seed
@@ -141,19 +141,19 @@ def _require_kind(weights: Weights, kind: str, material: str) -> None:
 
 
 def _beginning(weights: Weights) -> Mapping[str, Any]:
-    """What is stored of the weights that a training begins with."""
+    """Return the stored description of the initial weights of a training."""
     return {"kind": weights.kind, "trained": as_plain(dict(weights.provenance))}
 
 
 @dataclass(frozen=True, eq=False)
 class _Material:
-    """What both stages learn from.
+    """The training data of both stages.
 
     Attributes:
-        examples: all of them.
-        groups: of each: episode or trajectory.
-        data: what they are made of, stored with the weights.
-        start: weights to begin with; fresh ones when None.
+        examples: all examples.
+        groups: group of each example: its episode or trajectory.
+        data: description of their origin, stored with the weights.
+        start: initial weights; fresh ones when None.
     """
 
     examples: StateExamples | PseudoLabelExamples
@@ -163,7 +163,7 @@ class _Material:
 
 
 class _Learning:
-    """Both stages of one training, one after the other."""
+    """One training of both stages, one after the other."""
 
     def __init__(
         self,
@@ -180,7 +180,7 @@ class _Learning:
         self.outcomes: dict[str, TrainingOutcome] = {}
 
     def both(self, material: _Material) -> LearningOutcome:
-        """Train stage 1, then stage 2 behind its best weights, and write both as one file."""
+        """Train stage 1, then stage 2 with its best weights, and write both as one file."""
         seed, kind = self.config.canonicalisation.seed, material.examples.kind
         first = canonicalisation_stage(self.network, kind, seed=seed)
         if material.start is not None:
@@ -221,8 +221,8 @@ class _Learning:
         config: TrainingConfig,
         material: _Material,
     ) -> Weights | None:
-        """Train one stage; its best weights, or None after an interrupt."""
-        # The order of memory in which convolutions are faster, 1.4 times on a processor.
+        """Train one stage; return its best weights, or None after an interrupt."""
+        # Convolutions are faster in this memory order, by 1.4 times on a CPU.
         stage.canonicaliser.to(memory_format=torch.channels_last)
         training, held_out = split_by_group(material.groups, config.held_out_share, config.seed)
         outcome = train(

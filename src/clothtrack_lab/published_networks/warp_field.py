@@ -1,7 +1,8 @@
-"""The warp field: where each place of the canonical pose is now.
+"""The warp field: the current position of each point of the canonical pose.
 
-Predicted as what must be added to the canonical pose (MEDOR, arXiv 2209.03287, 3.2), after the
-observation has been turned into the canonical frame, so that a turned cloth is nothing to learn.
+It is predicted as a displacement from the canonical pose (MEDOR, arXiv 2209.03287, 3.2), after the
+observation has been rotated into the canonical frame, so that the network need not learn rotations
+of the cloth.
 """
 
 import torch
@@ -12,11 +13,11 @@ from clothtrack_lab.published_networks.completion import in_box, perceptron, sam
 from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 RESIDUAL_M = 0.1
-"""What an output of 1 stands for [m]."""
+"""Displacement for a network output of 1 [m]."""
 
 
 class WarpField(nn.Module):
-    """Reads the displacement of canonical places from the completed volume.
+    """A decoder of the displacement of canonical points from the completed volume.
 
     Args:
         config: sizes of the network.
@@ -27,7 +28,7 @@ class WarpField(nn.Module):
         self.config = config
         wide = config.decoder_hidden
         self.decoder = perceptron((config.volume_channels + 3, wide, wide, 3))
-        # Before it has learned anything it says that the garment lies in its canonical pose.
+        # The untrained network predicts the canonical pose.
         last = self.decoder[-1]
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
@@ -37,11 +38,11 @@ class WarpField(nn.Module):
         volume: Float[Tensor, "batch channels x y z"],
         queries: Float[Tensor, "batch queries 3"],
     ) -> Float[Tensor, "batch queries 3"]:
-        """Displacements [m], in the frame in which the observation is aligned.
+        """Return displacements [m] in the frame in which the observation is aligned.
 
         Args:
-            volume: from `Completion`.
-            queries: canonical places in the unit cube.
+            volume: volume from `Completion`.
+            queries: canonical points in the unit cube.
         """
         read = sample(volume, in_box(queries, self.config))
         known = torch.cat([read, queries - 0.5], dim=-1)

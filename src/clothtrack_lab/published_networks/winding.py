@@ -1,9 +1,9 @@
-"""Generalised winding numbers of a canonical mesh: the targets of the implicit decoder.
+"""Generalized winding numbers of a canonical mesh, the targets of the implicit decoder.
 
-The winding number of a closed surface is 1 inside and 0 outside; of an open one it is the solid
-angle that it fills as seen from the point, divided by 4 pi (A. Jacobson et al., "Robust
-inside-outside segmentation using generalized winding numbers", 2013,
-doi:10.1145/2461912.2461916). A flat sheet jumps by one from side to side, from -1/2 to 1/2.
+The winding number of a closed surface is 1 inside and 0 outside. That of an open one is the solid
+angle that it subtends at the point, divided by 4 pi (A. Jacobson et al., "Robust inside-outside
+segmentation using generalized winding numbers", 2013, doi:10.1145/2461912.2461916). Across a flat
+sheet it jumps by one, from -1/2 to 1/2.
 """
 
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from clothtrack.geometry.closest_point import interpolate
 
 @dataclass(frozen=True)
 class WindingConfig(Checked):
-    """Where the field of a garment is asked for, once and for all its states.
+    """The points at which a garment's field is computed, once for all its states.
 
     Attributes:
-        pool: points per garment; a training example draws some of them.
-        near_share: share of them that lie near the surface; the others fill the unit cube. The
-            paper's reference has none: 98 % of its points see a field that is almost zero.
+        pool: number of points per garment; a training example draws some of them.
+        near_share: share of points near the surface; the others fill the unit cube. The paper's
+            reference has none, and 98 % of its points are where the field is almost zero.
         near_spread: standard deviation of their distance to the surface along each axis
             [unit cube].
     """
@@ -35,7 +35,7 @@ class WindingConfig(Checked):
 
 @dataclass(frozen=True, eq=False)
 class WindingPool:
-    """Points of the unit cube and the winding number of one garment there."""
+    """The winding numbers of one garment at points in the unit cube."""
 
     points: Float[np.ndarray, "points 3"]
     values: Float[np.ndarray, " points"]
@@ -46,12 +46,12 @@ def winding_numbers(
     faces: Int[np.ndarray, "faces 3"],
     points: Float[np.ndarray, "points 3"],
 ) -> Float[np.ndarray, " points"]:
-    """Generalised winding number of a mesh at each point, to about 1e-2.
+    """Return the generalized winding number of a mesh at each point, to about 1e-2.
 
     Args:
-        vertices: of the mesh, in any unit; the points are in the same.
+        vertices: vertices of the mesh, in the same unit as the points.
         faces: vertex indices per triangle, outward where there is an outside.
-        points: where to ask.
+        points: points at which to compute it.
     """
     found = igl.fast_winding_number(
         np.ascontiguousarray(vertices, np.float64),
@@ -68,13 +68,13 @@ def winding_pool(
     *,
     seed: int,
 ) -> WindingPool:
-    """Points in the unit cube and near the surface, shuffled, with the winding number at each.
+    """Return shuffled points in the unit cube and near the surface, with their winding numbers.
 
     Args:
-        vertices: of the canonical mesh [unit cube].
+        vertices: vertices of the canonical mesh [unit cube].
         faces: vertex indices per triangle.
-        config: how many, and where.
-        seed: of the points.
+        config: number and distribution of points.
+        seed: seed of the points.
     """
     rng = np.random.default_rng(seed)
     near = round(config.near_share * config.pool)

@@ -1,4 +1,4 @@
-"""The world that is filmed: another engine than the tracker's, a noisy depth camera, a tool."""
+"""The simulated world (MuJoCo, not the tracker's engine), with a noisy depth camera and a tool."""
 
 from typing import TYPE_CHECKING
 

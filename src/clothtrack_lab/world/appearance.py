@@ -1,6 +1,6 @@
 """The simulated camera's colors: woven cloth, a wooden table, a gray tool.
 
-Only meant to look plausible and to be told apart by color; depth does not depend on it.
+They only need to look plausible and be distinguishable by color. Depth does not depend on them.
 """
 
 import zlib
@@ -25,36 +25,36 @@ TIP_COLORS: dict[str, tuple[int, int, int]] = {
     "cyan": (20, 186, 204),
     "yellow": (240, 214, 40),
 }
-"""Colors of a marked tip by name, far from wood, from gray and from every cloth."""
+"""Colors of a marked tip by name (8-bit sRGB), far from wood, from gray and from every cloth."""
 
 _WOOD_COLOR = (200, 166, 124)
 _TOOL_COLOR = (118, 121, 126)
 _PLANK_M = 0.12
 _PRINT_PERIODS_M = 0.016, 0.05
-"""Shortest and longest wave of a print [m]: leaves and flowers, not threads."""
+"""Shortest and longest wavelength of a print [m], the scale of leaves and flowers, not threads."""
 _PRINT_WAVES = 24
 _PRINT_CONTRAST = 0.35
-"""How much lighter or darker a print is at most, as a share of the brightness. It has the cloth's
-own hue, so that the same pixels are found to be cloth."""
+"""Largest change of brightness by a print, as a share of the brightness. A print has the cloth's
+hue, so that the same pixels are segmented as cloth."""
 _GRAIN = 3.0
-"""Noise of the pictures of a printed cloth [gray values, 0 to 255]: one standard deviation."""
+"""Standard deviation of the noise in pictures of a printed cloth [gray values, 0 to 255]."""
 _LIGHT = np.array([-0.45, 0.55, 0.70]) / np.linalg.norm([-0.45, 0.55, 0.70])
 """Direction from the table to the lamp."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """Colors of a scene.
+    """The colors of a scene.
 
     Attributes:
         cloth: name of the cloth's color, a key of `CLOTH_COLORS`.
         weave: strength of the woven pattern, as a share of the brightness.
-        weave_period_m: width of a pair of its stripes [m].
-        table_seed: grows the wood.
-        tip: name of the color of the tool's tip, a key of `TIP_COLORS`; gray as the rest of the
+        weave_period_m: period of its stripes [m].
+        table_seed: seed of the wood grain.
+        tip: name of the color of the tool's tip, a key of `TIP_COLORS`; gray like the rest of the
             tool when None.
-        print_seed: grows a print on the cloth, whose pictures then have noise as well (`_GRAIN`);
-            None leaves the cloth plain and the pictures clean.
+        print_seed: seed of a print on the cloth, whose pictures then also have noise (`_GRAIN`);
+            None for a plain cloth and noise-free pictures.
     """
 
     cloth: str = "blue"
@@ -66,7 +66,7 @@ class Appearance:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Appearance":
-        """Return one of the named colors, a weave and a table."""
+        """Return a random appearance: one of the named colors, a weave and a table."""
         return cls(
             cloth=str(rng.choice(list(CLOTH_COLORS))),
             weave=float(rng.uniform(0.04, 0.12)),
@@ -76,12 +76,12 @@ class Appearance:
 
 
 class Painter:
-    """Paints views of one table; its wood is grown once."""
+    """A painter of views of one table, whose wood is computed once."""
 
     def __init__(
         self, appearance: Appearance, table_points: Float[np.ndarray, "height width 3"]
     ) -> None:
-        """Grow the wood at the table point [m] of every pixel."""
+        """Compute the wood color at the table point [m] of every pixel."""
         self._appearance = appearance
         wood = _wood(table_points.reshape(-1, 3), appearance.table_seed)
         self._wood = wood.reshape(table_points.shape).astype(np.float32)
@@ -89,8 +89,8 @@ class Painter:
     def paint(self, view: View) -> UInt8[np.ndarray, "height width 3"]:
         """Return the shaded color picture of a view, red first.
 
-        Light is diffuse, from one lamp; the cloth darkens the table around it, and folds are
-        darker where higher cloth stands beside them.
+        Light is diffuse and comes from one lamp. The cloth darkens the table around it, and folds
+        are darker next to higher cloth.
         """
         on_table, on_cloth = view.label == TABLE, view.label == CLOTH
         color = self._wood.copy()
@@ -99,7 +99,7 @@ class Painter:
         tip = self._appearance.tip
         color[view.label == TIP] = _TOOL_COLOR if tip is None else TIP_COLORS[tip]
 
-        # A face turned away shows the other side of the cloth, lit just as well.
+        # A face turned away shows the other side of the cloth, which is lit the same.
         toward = view.normals @ _LIGHT.astype(np.float32)
         toward *= np.where(view.normals[..., 2] < 0.0, -1.0, 1.0).astype(np.float32)
         light = 0.42 + 0.62 * np.clip(toward, 0.0, 1.0) / np.float32(_LIGHT[2])
@@ -118,7 +118,7 @@ class Painter:
 def _weave(
     material: Float[np.ndarray, "pixels 3"], appearance: Appearance
 ) -> Float[np.ndarray, "pixels 3"]:
-    """Return the unlit color (0 to 255) of the cloth: a plaid that is fixed to the material."""
+    """Return the unlit color (0 to 255) of the cloth, a plaid fixed to the material."""
     wave = np.cos(2.0 * np.pi * material[:, :2] / appearance.weave_period_m).sum(axis=1)
     plaid = 1.0 + 0.5 * appearance.weave * wave
     if appearance.print_seed is not None:
@@ -127,19 +127,19 @@ def _weave(
 
 
 def _print(places: Float[np.ndarray, "pixels 2"], seed: int) -> Float[np.ndarray, " pixels"]:
-    """Return the brightness of a print, random waves, at places of the flat cloth [m]."""
+    """Return the brightness of a print of random waves at positions on the flat cloth [m]."""
     rng = np.random.default_rng(seed)
     shortest, longest = _PRINT_PERIODS_M
     periods = shortest * (longest / shortest) ** rng.uniform(size=_PRINT_WAVES)
     angles, phases = rng.uniform(0.0, 2.0 * np.pi, (2, _PRINT_WAVES))
     turns = 2.0 * np.pi / periods * np.stack([np.cos(angles), np.sin(angles)])
     waves = np.cos(places @ turns + phases).sum(axis=1) / np.sqrt(0.5 * _PRINT_WAVES)
-    # Steep, as a printed motif has rims.
+    # The tanh makes steep edges, as in a printed motif.
     return 1.0 + _PRINT_CONTRAST * np.tanh(2.0 * waves)
 
 
 def _grain(view: View, seed: int) -> Float[np.ndarray, "height width 3"]:
-    """Return the noise of one picture, seeded by the picture, so that no state is kept."""
+    """Return the noise of one picture, seeded by the picture so that no state is kept."""
     rng = np.random.default_rng([seed, zlib.crc32(view.depth.tobytes())])
     return _GRAIN * rng.standard_normal((*view.depth.shape, 3), dtype=np.float32)
 

@@ -1,8 +1,8 @@
-"""The benchmark `clothtrack-bench`: which trajectories there are, and what varies between them.
+"""The benchmark `clothtrack-bench`: its trajectories and their variation.
 
-50 trajectories of three pick-and-places, 25 towels and 25 two-layer T-shirts, in two splits: `dev`
-to tune on, `test` to score and never to look at for anything else. Ten `hard` ones besides. All
-that varies is drawn from the trajectory's seed alone; `Ranges` says from where.
+It has 50 trajectories of three pick-and-places, 25 towels and 25 two-layer T-shirts, in two splits:
+`dev` for tuning, and `test` only for scoring. There are ten `hard` ones besides. All variation is
+drawn from the trajectory's seed alone, from the intervals in `Ranges`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -30,25 +30,26 @@ Hardness = Literal["none", "middle", "folded", "hidden", "calibration", "missing
 SPLITS: tuple[Split, ...] = get_args(Split)
 
 COUNTS: Mapping[Split, int] = MappingProxyType({"dev": 10, "test": 15})
-"""Trajectories of each kind of garment."""
+"""Number of trajectories per kind of garment."""
 
 _FIRST_SEEDS: Mapping[Split, int] = MappingProxyType({"dev": 1000, "test": 2000, "hard": 3000})
 _SPARE_SEEDS = 5
-"""How often a trajectory whose physics diverges is tried again, each time with the next seed."""
+"""Number of retries of a trajectory whose physics diverges, each with the next seed."""
 
 _SEEDS_APART = _SPARE_SEEDS + 1
-"""From one trajectory's first seed to the next one's, so that no two share a spare seed."""
+"""Distance between the first seeds of two trajectories, so that they share no spare seeds."""
 
 _RELEASE_GAP_M = 0.002
-"""What is left under the carried layers [m] when the gripper opens."""
+"""Gap under the carried layers when the gripper opens [m]."""
 
 _OF_BENCH = 0xBE7C
-"""Keeps the draws of this module apart from those of the episode with the same seed."""
+"""Constant that separates this module's random draws from those of the episode with the same
+seed."""
 
 
 @dataclass(frozen=True)
 class Ranges:
-    """Where the values of a trajectory are drawn from, evenly between the two bounds.
+    """The bounds of a trajectory's values, which are drawn uniformly between them.
 
     Attributes:
         towel_side_m: width and, independently, length of a towel [m].
@@ -56,28 +57,29 @@ class Ranges:
         tshirt_length_m: length of a T-shirt [m].
         young_pa: Young's modulus [Pa].
         poisson: Poisson's ratio.
-        thickness_m: thickness of the elastic shell [m]; with `young_pa` it makes the bending
+        thickness_m: thickness of the elastic shell [m]; with `young_pa` it determines the bending
             stiffness, 0.1 to 1.7 micronewton meters.
         area_density: mass per area [kg/m^2].
-        contact_radius_m: half the distance that layers keep [m]: half the cloth's thickness.
+        contact_radius_m: half the distance between layers [m], which is half the cloth's thickness.
         table_friction: Coulomb coefficient between cloth and table.
         cloth_friction: Coulomb coefficient between cloth and cloth.
-        distance_over_size: distance of the camera from the table [m] less 0.3 m, over the longer
+        distance_over_size: distance of the camera from the table [m] minus 0.3 m, over the longer
             side of the garment [m].
         tilt_deg: standard deviation of the camera's tilt about x, about y and of its roll [deg].
         focal: focal length [pixels] at a width of 640 pixels.
         white_m: standard deviation of independent depth noise [m] at 0.75 m.
         wave_m: standard deviation of slowly varying depth error [m].
-        dropout: share of pixels without depth, seen from the front.
-        grazing_dropout: additional share seen edge-on.
+        dropout: share of pixels without depth on surfaces seen from the front.
+        grazing_dropout: additional share on surfaces seen edge-on.
         edge_dropout: share of silhouette pixels without depth.
         edge_mixing: share of the other silhouette pixels that mix both depths.
         patch_dropout: share of the picture without depth in connected patches.
-        picker_error_m: standard deviation, per axis, of the constant error of the tip [m], and of
-            that from sample to sample.
+        picker_error_m: standard deviation, per axis, of the constant error of the tip, and of its
+            error per sample [m].
         speed: highest speed of the tip with cloth [m/s].
-        tool_azimuth_rad: where the tool comes from, seen from above; 0 is the far side [rad].
-        tool_elevation_deg: how steeply the tool rises from the table [deg].
+        tool_azimuth_rad: direction from which the tool comes, seen from above; 0 is the far side
+            [rad].
+        tool_elevation_deg: elevation of the tool above the table [deg].
         tool_size: thickness of the tool over that of the usual one.
     """
 
@@ -113,13 +115,13 @@ class BenchTrajectory:
     """One trajectory of the benchmark.
 
     Attributes:
-        name: of its recording and its truth file.
-        kind: the garment.
-        split: what it may be used for.
-        seed: of everything; if the physics diverges, the next ones are tried in turn.
-        hardness: what makes it hard.
-        changes: fields of the drawn configuration that are replaced; none in the benchmark but
-            `printed` in its printed variant.
+        name: name of its recording and its truth file.
+        kind: kind of garment.
+        split: split that it belongs to.
+        seed: seed of all random draws; if the physics diverges, the next ones are tried in turn.
+        hardness: kind of difficulty.
+        changes: replaced fields of the drawn configuration; none in the benchmark except `printed`
+            in its printed variant.
     """
 
     name: str
@@ -131,11 +133,11 @@ class BenchTrajectory:
 
     @property
     def seeds(self) -> range:
-        """The seeds that are tried in turn, until the physics holds."""
+        """Seeds that are tried in turn until the physics does not diverge."""
         return range(self.seed, self.seed + _SEEDS_APART)
 
     def config(self, seed: int) -> EpisodeConfig:
-        """Return what is filmed, and how, with this seed."""
+        """Return the episode configuration with this seed."""
         return replace(hardened(vary(self.kind, seed), self.hardness), **self.changes)
 
 
@@ -145,8 +147,9 @@ def trajectories(
     """Return the trajectories of some splits, in their order.
 
     Args:
-        splits: which ones.
-        printed: the variant whose cloth has a print; everything else is the same.
+        splits: splits to return.
+        printed: whether to return the variant with a print on the cloth; everything else is the
+            same.
     """
     changes = {"printed": True} if printed else {}
     return [replace(one, changes=changes) for one in _all() if one.split in splits]
@@ -166,10 +169,10 @@ def _all() -> Iterator[BenchTrajectory]:
 
 
 def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeConfig:
-    """Return what is filmed, and how: every value drawn from its range.
+    """Return an episode configuration with every value drawn from its range.
 
     Colors, the pose of the garment, the actions and the direction of the camera's tilt are drawn
-    from the same seed while it is filmed.
+    from the same seed during recording.
     """
     ranges = ranges or Ranges()
     rng = np.random.default_rng([_OF_BENCH, seed, list(DEFAULT_SIZES_M).index(kind)])
@@ -201,7 +204,7 @@ def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeC
         edge_mixing=draw("edge_mixing"),
         patch_dropout=draw("patch_dropout"),
     )
-    # Carried cloth hangs doubled under the tip: it is let go where all its layers have room.
+    # Carried cloth hangs doubled under the tip, so release it at a height with room for all layers.
     layers = 2 if kind == "towel" else 4
     room = _RELEASE_GAP_M + 2.0 * layers * fabric.contact_radius_m
     thickness = draw("tool_size")

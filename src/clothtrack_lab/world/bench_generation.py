@@ -1,7 +1,7 @@
-"""Makes the benchmark, goes on where it stopped, and checks it against its checksums.
+"""Generation of the benchmark, which can be resumed, and verification of its checksums.
 
-`OUT/bench.json` lists every finished trajectory. It is written anew after each one, so that what it
-lists is whole, and what it does not list was never finished.
+`OUT/bench.json` lists every finished trajectory. It is rewritten after each one, so listed
+trajectories are complete and others were never finished.
 """
 
 import hashlib
@@ -47,20 +47,21 @@ def generate_bench(
     progress: Progress | None = None,
     ray: str = "",
 ) -> list[Entry]:
-    """Film trajectories of the benchmark into `out/recordings` and `out/truth`.
+    """Record trajectories of the benchmark into `out/recordings` and `out/truth`.
 
-    A trajectory that is listed in `out/bench.json` and still has its checksums is kept; any other
-    is filmed, over what is left of an earlier try. An interrupt keeps what was finished.
+    A trajectory that is listed in `out/bench.json` and still matches its checksums is kept. Any
+    other is recorded again and overwrites earlier remains. An interrupt keeps finished
+    trajectories.
 
     Args:
         out: folder of the benchmark.
-        selected: which trajectories; all of the benchmark when None.
-        processes: worker processes.
-        progress: called first, and after each trajectory, kept ones included.
-        ray: address of Ray, which is to do it; worker processes by default.
+        selected: trajectories to record; all of the benchmark when None.
+        processes: number of worker processes.
+        progress: function called at the start and after each trajectory, including kept ones.
+        ray: address of the Ray cluster to run on; worker processes by default.
 
     Returns:
-        The entries of the trajectories, in their order.
+        The entries of the trajectories, in order.
 
     Raises:
         InvalidConfigError: there are no workers, another run writes to `out`, or it holds a
@@ -89,7 +90,7 @@ def generate_bench(
 
 @dataclass(frozen=True)
 class _Filming:
-    """Record a trajectory, as `clothtrack.files.many_items.Work`."""
+    """Recording of trajectories, as `clothtrack.files.many_items.Work`."""
 
     out: Path
 
@@ -103,18 +104,18 @@ class _Filming:
         return [truth, recording]
 
     def kept(self, trajectory: BenchTrajectory) -> Entry | None:
-        """Return the entry of one that is listed, and as it is listed."""
+        """Return the entry of a trajectory that is listed and matches the list."""
         entry = _read_list(self.out).get(trajectory.name)
         return None if entry is None or damage(self.out, entry) else entry
 
     def do(self, trajectory: BenchTrajectory) -> Entry:
-        """Record it over what is left of an earlier try."""
+        """Record it, overwriting the remains of an earlier try."""
         _remove(self.out, trajectory.name)
         return _film(trajectory, self.out)
 
 
 def table(entries: Sequence[Entry]) -> str:
-    """Return one line per trajectory: its seed, how hard it turned out, and what it cost."""
+    """Return one line per trajectory with its seed, measured difficulty and cost."""
     lines = [f"{'trajectory':<24}{'seed':>6}{'frames':>8}{'hidden':>8}{'missing':>9}{'CPU':>8}"]
     for entry in entries:
         shown = entry["measured"]
@@ -127,11 +128,11 @@ def table(entries: Sequence[Entry]) -> str:
 
 
 def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -> list[str]:
-    """Return what is wrong with a benchmark on disk: one line per trajectory that is not as listed.
+    """Return one line per trajectory on disk that does not match the benchmark's list.
 
     Args:
         out: folder of the benchmark.
-        selected: trajectories that must be there; those of the list when None.
+        selected: trajectories that must exist; those of the list when None.
 
     Raises:
         InvalidResultError: there is no list, or it cannot be read.
@@ -163,9 +164,9 @@ def damage(out: Path, entry: Mapping[str, Any]) -> str:
 
 
 def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file, or of a folder, in hexadecimal digits.
+    """Return the SHA-256 of a file or a folder as hexadecimal digits.
 
-    That of a folder is the SHA-256 of the list that `sha256sum` prints of its files, sorted by
+    For a folder it is the SHA-256 of the list that `sha256sum` prints for its files, sorted by
     their names relative to the folder (as bytes).
     """
     if path.is_file():
@@ -179,7 +180,7 @@ def checksum(path: Path) -> str:
 
 
 def _film(trajectory: BenchTrajectory, out: Path) -> Entry:
-    """Film one trajectory, with the first of its seeds that does not diverge."""
+    """Record one trajectory, with the first of its seeds that does not diverge."""
     start = time.process_time()
     for seed in trajectory.seeds:
         config = trajectory.config(seed)
@@ -216,7 +217,7 @@ def _entry(
 
 
 def _measured(truth: Path) -> dict[str, int | float]:
-    """Return how hard a trajectory turned out, from its truth file."""
+    """Return the measured difficulty of a trajectory, from its truth file."""
     with np.load(truth) as arrays:
         hidden, missing = arrays["hidden_by_tool"], arrays["depth_missing"]
         carried = arrays["gripper_closed"]
@@ -235,7 +236,7 @@ def _paths(out: Path, name: str) -> tuple[Path, Path]:
 
 
 def _remove(out: Path, name: str) -> None:
-    """Remove a trajectory that is damaged or was not listed."""
+    """Remove a damaged or unlisted trajectory."""
     recording, truth = _paths(out, name)
     with storage(recording):
         if recording.exists():
@@ -249,7 +250,7 @@ def _refuse_other_settings(
     if entry is None:
         return
     seed = entry["seed"]
-    # A setting that came later had its default.
+    # A setting that was added later had its default value.
     varied = {**_plain(EpisodeConfig()), **entry["varied"]}
     if seed not in trajectory.seeds or varied != _plain(trajectory.config(seed)):
         raise InvalidConfigError(
@@ -260,7 +261,7 @@ def _refuse_other_settings(
 
 
 def _plain(config: EpisodeConfig) -> dict[str, Any]:
-    """Return a configuration as JSON holds it."""
+    """Return a configuration as JSON content."""
     return json.loads(json.dumps(asdict(config)))
 
 

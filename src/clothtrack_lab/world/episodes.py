@@ -1,9 +1,9 @@
-"""Recordings from the simulated world: pick-and-places of a garment, filmed; the truth kept apart.
+"""Recordings of pick-and-places in the simulated world, with the truth in separate files.
 
-`OUT/recordings/NAME/` is a recording like any other. `OUT/truth/NAME.npz` holds what no camera
-can know; only evaluation reads it. Nothing of the truth is in the recording but the first mesh,
-and that one has another triangulation, is misplaced, mis-scaled and noisy, as a first mesh
-measured by hand would be.
+`OUT/recordings/NAME/` is a recording like any other. `OUT/truth/NAME.npz` holds data that no camera
+can measure, and only evaluation reads it. The recording contains no truth except the first mesh,
+which has another triangulation and is misplaced, mis-scaled and noisy, like a first mesh measured
+by hand.
 """
 
 import json
@@ -47,36 +47,37 @@ logger = logging.getLogger(__name__)
 PICKER = "gripper"
 
 _SLIPS_AT = 0.2, 0.8
-"""Share of the way after which cloth that slips leaves the gripper, evenly drawn."""
+"""Bounds of the share of the path after which slipping cloth leaves the gripper, drawn
+uniformly."""
 
 
 @dataclass(frozen=True)
 class EpisodeConfig(Checked):
-    """What is filmed, and how.
+    """The configuration of an episode.
 
     Attributes:
-        size_m: width and length of the garment [m]; usual for its kind when None.
-        garment: file of the garment's own template (`clothtrack garment`), which has its size and
-            its vertices; empty for a garment of usual cut.
-        vertex_count: about how many vertices the world's cloth has.
+        size_m: width and length of the garment [m]; the usual size of its kind when None.
+        garment: file of the garment's template (`clothtrack garment`), which determines size and
+            vertices; empty for a garment of usual cut.
+        vertex_count: approximate number of vertices of the world's cloth.
         actions: number of pick-and-places.
         settle_speed: rms speed [m/s] of the cloth below which it is at rest.
-        settle_limit_s: longest wait [s] for it after a release.
+        settle_limit_s: longest wait for rest after a release [s].
         picker_bias_m: standard deviation, per axis, of the constant error [m] of the tip.
-        picker_noise_m: standard deviation, per axis, of its error from sample to sample [m].
-        template: the first mesh, or None for a recording without one.
-        action: how pick-and-places are drawn.
-        sensor: the camera.
-        fabric: what the cloth is made of; drawn when None.
-        tool: what moves it; drawn when None.
-        reach_across: the tool comes to each pick over the middle of the cloth, not from the side
-            that it always comes from.
-        calibration_error_m: how far [m] the recording says the camera is from where it is, in a
-            random direction.
-        printed: the cloth has a print and the color pictures have noise. Nothing else depends on
-            it: depth and motion are those of the plain cloth.
-        slips: share of carries in which a recording's cloth slips out of the gripper, somewhere
-            between a fifth and four fifths of the way; the recorded path says nothing of it.
+        picker_noise_m: standard deviation, per axis, of its error per sample [m].
+        template: configuration of the first mesh, or None for a recording without one.
+        action: configuration of drawing pick-and-places.
+        sensor: configuration of the camera.
+        fabric: material of the cloth; drawn when None.
+        tool: tool that moves it; drawn when None.
+        reach_across: whether the tool comes to each pick over the middle of the cloth instead of
+            from its usual side.
+        calibration_error_m: distance of the recorded camera position from the true one, in a random
+            direction [m].
+        printed: whether the cloth has a print and the color pictures have noise. Depth and motion
+            are the same as with the plain cloth.
+        slips: share of carries in which the cloth slips out of the gripper, between a fifth and
+            four fifths of the path; the recorded path does not show it.
     """
 
     size_m: tuple[float, float] | None = None
@@ -106,7 +107,7 @@ SMALL_WORLD = EpisodeConfig(
     action=ActionConfig(frame_rate=10.0),
     sensor=SensorConfig(width=320, height=240, focal=300.0),
 )
-"""One action with a napkin, in a few seconds: for smoke runs and tests, and proof of nothing."""
+"""One action with a napkin in a few seconds, only for smoke runs and tests."""
 
 
 def simulate_trajectory(
@@ -119,25 +120,25 @@ def simulate_trajectory(
     name: str | None = None,
     tip_color: str | None = None,
 ) -> Path:
-    """Film one trajectory: a flat garment, random pick-and-places, the tool away after each.
+    """Record a flat garment and random pick-and-places, with the tool away after each.
 
     Args:
-        kind: the garment.
-        seed: of everything: fabric, pose, actions, camera, noise.
+        kind: kind of garment.
+        seed: seed of fabric, pose, actions, camera and noise.
         out: folder for `recordings/` and `truth/`.
-        config: what is filmed, and how.
-        garment: what is filmed, in place of one that is cut for this seed; its size is that of the
+        config: configuration of the episode.
+        garment: garment to record instead of one made for this seed; its size is that of the
             configuration.
-        name: of the recording; `KIND_SEED` by default.
-        tip_color: of a marked tip, a key of `TIP_COLORS`; the tool is gray all over by default.
+        name: name of the recording; `KIND_SEED` by default.
+        tip_color: color of a marked tip, a key of `TIP_COLORS`; the whole tool is gray by default.
             Nothing else depends on it.
 
     Returns:
-        The recording's folder.
+        The folder of the recording.
 
     Raises:
-        SimulationDivergedError: when the physics does.
-        StorageError: when the recording exists or the disk refuses.
+        SimulationDivergedError: the physics diverges.
+        StorageError: the recording exists or the disk refuses.
     """
     config = config or EpisodeConfig()
     name = name or recording_name(kind, seed, garment)
@@ -148,7 +149,7 @@ def simulate_trajectory(
     cut = garment or SeededGarment(kind, config.garment, config.size_m, seed)
     flat = cut.flat(vertex_count=config.vertex_count)
     pose = random_pose(of_world)
-    # Drawn even when it is given, so that nothing else depends on whether it is.
+    # Draw a fabric even if one is given, so that the other random draws stay the same.
     drawn = Fabric.sample(of_world)
     fabric = config.fabric or drawn
     laid = partial(laid_down, pose=pose, height_m=fabric.contact_radius_m)
@@ -189,7 +190,7 @@ def simulate_trajectory(
 
 
 class _Film:
-    """One trajectory while it happens: moves the tool, steps the world, takes the pictures."""
+    """A trajectory in progress, which moves the tool, steps the world and takes the pictures."""
 
     def __init__(
         self,
@@ -216,7 +217,7 @@ class _Film:
     def run(
         self, start: ClothMesh, rng: np.random.Generator, of_slips: np.random.Generator
     ) -> None:
-        """Settle the cloth, then film every action; the last frame of each shows no tool."""
+        """Settle the cloth, then record every action; the last frame of each shows no tool."""
         config = self._config
         self._world.settle(speed=config.settle_speed, limit_s=config.settle_limit_s)
         tip = None
@@ -255,7 +256,7 @@ class _Film:
             self._writer.add_action(first, len(self.positions) - 1, [PICKER])
 
     def _retreat(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-        """Draw the tool back while the cloth comes to rest; where the tip ends [m]."""
+        """Retract the tool while the cloth comes to rest; return where the tip ends [m]."""
         config = self._config
         away = self._scene.out_of_picture(tip)
         way = free_path(tip, away, config.action)
@@ -271,7 +272,7 @@ class _Film:
         return away
 
     def _take(self, tip: Float[np.ndarray, " 3"], *, closed: bool = False) -> None:
-        """Take one frame of the present moment."""
+        """Take one frame now."""
         vertices = self._world.positions
         picture = self._sensor.capture(vertices, tip)
         self._writer.add_frame(
@@ -291,7 +292,7 @@ class _Film:
         self.closed.append(closed)
 
     def measured_path(self, rng: np.random.Generator) -> PickerPath:
-        """Return the tip's path as the robot measures it."""
+        """Return the tip's path as measured by the robot."""
         config = self._config
         tips = np.array(self._tips)
         bias = config.picker_bias_m * rng.standard_normal(3)
@@ -301,16 +302,16 @@ class _Film:
 
 
 def recording_name(kind: GarmentKind, seed: int, garment: GivenGarment | None) -> str:
-    """Return what the recording of a seed is called: KIND_SEED, or after the one garment."""
+    """Return the name of a seed's recording: KIND_SEED, or one with the single garment's label."""
     return f"{kind if garment is None else garment.label}_{seed:04d}"
 
 
 def _provenance(
     seed: int, config: EpisodeConfig, garment: GivenGarment | None
 ) -> dict[str, object]:
-    """Return how the recording was made.
+    """Return the provenance of the recording.
 
-    Of the physics only what a person at the table could know.
+    It has only the physical data that a person at the table could know.
     """
     of_garment = {} if garment is None else {"garment_seed": garment.seed}
     return {
@@ -323,7 +324,7 @@ def _provenance(
 
 
 def _write_truth(path: Path, film: _Film, flat: ClothMesh, fabric: Fabric) -> None:
-    """Write what the camera could not see, under a temporary name first."""
+    """Write the data that the camera could not see, under a temporary name first."""
     with atomic_file(path) as unfinished:
         np.savez_compressed(
             unfinished,

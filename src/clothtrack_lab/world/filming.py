@@ -1,4 +1,4 @@
-"""Record many trajectories of the simulated world."""
+"""Recording of many trajectories in the simulated world."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -30,30 +30,30 @@ def simulate(
     progress: Progress | None = None,
     ray: str = "",
 ) -> list[Path]:
-    """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
+    """Record several trajectories, with the seeds `seed`, `seed` + 1 and so on.
 
-    Recordings that exist are left as they are, so a broken run goes on where it stopped.
-    Trajectories whose physics diverges are logged and left out.
+    Existing recordings are left unchanged, so an interrupted run can be resumed. Trajectories whose
+    physics diverges are logged and left out.
 
     Args:
         out: folder for `recordings/` and `truth/`.
-        kind: the garment.
-        trajectories: how many.
-        seed: of the first one.
-        config: what is filmed, and how.
-        garment: of all trajectories, in place of one that is cut for each.
-        processes: worker processes.
-        progress: called first, and after each trajectory.
-        ray: address of Ray, which is to do it; worker processes by default.
+        kind: kind of garment.
+        trajectories: number of trajectories.
+        seed: seed of the first one.
+        config: configuration of the episodes.
+        garment: garment of all trajectories, instead of one made for each.
+        processes: number of worker processes.
+        progress: function called at the start and after each trajectory.
+        ray: address of the Ray cluster to run on; worker processes by default.
 
     Returns:
         The folders of the recordings.
 
     Raises:
-        InvalidConfigError: there are no workers, no trajectories are asked for, or another run
+        InvalidConfigError: there are no workers, no trajectories are requested, or another run
             writes to `out`.
         ClothTrackError: a worker died.
-        StorageError: when the disk refuses.
+        StorageError: the disk refuses.
     """
     require_workers(processes)
     if trajectories < 1:
@@ -80,7 +80,7 @@ def _without_diverged(
 
 @dataclass(frozen=True)
 class _Filming:
-    """Film a seed, as `clothtrack.files.many_items.Work`."""
+    """Recording of one seed per item, as `clothtrack.files.many_items.Work`."""
 
     out: Path
     kind: GarmentKind
@@ -88,7 +88,7 @@ class _Filming:
     garment: GivenGarment | None
 
     def name(self, seed: int) -> str:
-        """Return what the recording is called."""
+        """Return the name of the recording."""
         return recording_name(self.kind, seed, self.garment)
 
     def paths(self, seed: int) -> list[Path]:
@@ -99,12 +99,12 @@ class _Filming:
         ]
 
     def kept(self, seed: int) -> Path | None:
-        """Return the recording of before."""
+        """Return the existing recording."""
         folder = self.out / "recordings" / self.name(seed)
         return folder if folder.exists() else None
 
     def do(self, seed: int) -> Path:
-        """Film it."""
+        """Record it."""
         return simulate_trajectory(
             self.kind, seed, self.out, config=self.config, garment=self.garment
         )

@@ -1,8 +1,8 @@
-"""The physics of the simulated world: a thin finite-element shell on a table, in MuJoCo.
+"""Physics of the simulated world: a thin finite-element shell on a table, in MuJoCo.
 
-It shares nothing with the tracker's position-based cloth: elasticity comes from a shell with
-bending, contact is between thin faces with friction cones, time stepping is implicit. What the
-tracker cannot calibrate away here, it could not calibrate away in reality either.
+It shares nothing with the tracker's position-based cloth. Elasticity comes from a shell with
+bending, contact is between thin faces with friction cones, and time stepping is implicit. So the
+tracker cannot calibrate away model differences here, just as in reality.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ TIME_STEP_S = 0.005
 CONTACT_RADIUS_M = 0.0015
 _GRASP_SLOTS = 8
 _GRASP_TIME_CONSTANT_S = 2.0 * TIME_STEP_S
-"""The stiffest that MuJoCo allows a constraint to be at this time step."""
+"""Smallest time constant that MuJoCo allows for a constraint at this time step [s]."""
 
 _GRASP_IMPEDANCE = "0.99 0.999 0.001"
-"""Hardness of a grasp (MuJoCo's solimp); its default lets a vertex of some milligrams trail the
+"""Hardness of a grasp (MuJoCo's solimp). With the default a vertex of some milligrams trails the
 tip by centimeters when the whole cloth is dragged."""
 _PARKED_M = (0.0, 0.0, 5.0)
 USUAL_CONTACT_S = 0.02
-"""Time constant of a contact between two layers [s]: MuJoCo's default."""
+"""Time constant of a contact between two layers [s], MuJoCo's default."""
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @dataclass(frozen=True)
 class Fabric:
-    """What a cloth is made of, and what it lies on.
+    """The material of a cloth, and its friction with the table.
 
     Attributes:
         young_pa: Young's modulus [Pa]; 4e4 at half a millimeter hangs like a cotton shirt.
@@ -42,7 +42,7 @@ class Fabric:
         damping_s: stiffness-proportional damping of the shell [s].
         table_friction: Coulomb coefficient between cloth and table.
         cloth_friction: Coulomb coefficient between cloth and cloth.
-        contact_radius_m: half the distance [m] that two layers keep; the cloth lies this high.
+        contact_radius_m: half the distance between two layers [m]; the cloth lies at this height.
     """
 
     young_pa: float = 4e4
@@ -56,7 +56,7 @@ class Fabric:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Fabric":
-        """Return a fabric drawn from the range of ordinary knitted and woven cloth."""
+        """Return a random fabric from the range of ordinary knitted and woven cloth."""
         return cls(
             young_pa=float(rng.uniform(2.5e4, 6e4)),
             poisson=float(rng.uniform(0.1, 0.3)),
@@ -76,17 +76,17 @@ class FlexWorld:
     def __init__(
         self, mesh: ClothMesh, fabric: Fabric, *, contact_s: float = USUAL_CONTACT_S
     ) -> None:
-        """Lay the cloth down where its vertices are, unstretched and at rest.
+        """Place the cloth at its vertices, unstretched and at rest.
 
         Args:
-            mesh: the cloth.
-            fabric: what it is made of.
-            contact_s: time constant in which two layers are pushed apart [s], two time steps or
-                more. Folding a lying cloth goes well with the usual one; a shirt that is dropped
-                passes through itself with it (100 edges through triangles), and hardly with half.
+            mesh: mesh of the cloth.
+            fabric: material of the cloth.
+            contact_s: time constant with which two layers are pushed apart [s], at least two time
+                steps. The usual one suits folding a lying cloth. A dropped shirt passes through
+                itself with it (100 edges through triangles), and hardly with half of it.
 
         Raises:
-            InvalidConfigError: when the cloth starts under the table, or contacts are too hard.
+            InvalidConfigError: the cloth starts under the table, or contacts are too hard.
         """
         if not contact_s >= 2.0 * TIME_STEP_S:
             raise InvalidConfigError(
@@ -112,7 +112,7 @@ class FlexWorld:
 
     @property
     def positions(self) -> Float[np.ndarray, "vertices 3"]:
-        """Vertex positions [m], as of the end of the last step."""
+        """Vertex positions [m] at the end of the last step."""
         return self._start + self._data.qpos[self._first[:, None] + np.arange(3)]
 
     @property
@@ -121,10 +121,10 @@ class FlexWorld:
         return float(np.sqrt(3.0 * np.mean(np.square(self._data.qvel))))
 
     def grasp(self, vertices: Int[np.ndarray, " held"], tip: Float[np.ndarray, " 3"]) -> None:
-        """Close the gripper at `tip` [m]: these vertices follow it from now on, offsets kept.
+        """Close the gripper at `tip` [m]; these vertices follow it with constant offsets.
 
         Raises:
-            InvalidConfigError: for more vertices than a gripper holds.
+            InvalidConfigError: there are more vertices than a gripper can hold.
         """
         if len(vertices) > _GRASP_SLOTS:
             raise InvalidConfigError(
@@ -134,17 +134,17 @@ class FlexWorld:
         self._data.mocap_pos[0] = self._tip = np.array(tip)
         offsets = self.positions[vertices] - tip
         for slot, (vertex, offset) in enumerate(zip(vertices, offsets, strict=True)):
-            # The vertex bodies are points: the anchor in the cloth is their own origin.
+            # The vertex bodies are points, so the anchor in the cloth is their own origin.
             self._model.eq_obj2id[slot] = self._model.flex_vertbodyid[vertex]
             self._model.eq_data[slot, :3] = offset
             self._model.eq_data[slot, 3:6] = 0.0
             self._data.eq_active[slot] = True
 
     def move(self, tip: Float[np.ndarray, " 3"]) -> None:
-        """Put the gripper here [m] for the next step.
+        """Set the position of the gripper [m] for the next step.
 
-        A critically damped constraint trails a moving body by two time constants; leading by as
-        much keeps the held cloth at the tip.
+        A critically damped constraint trails a moving body by two time constants. The same lead
+        keeps the held cloth at the tip.
         """
         velocity = (tip - self._tip) / TIME_STEP_S
         self._data.mocap_pos[0] = tip + 2.0 * _GRASP_TIME_CONSTANT_S * velocity
@@ -158,7 +158,7 @@ class FlexWorld:
         """Advance by `count` steps of `TIME_STEP_S`.
 
         Raises:
-            SimulationDivergedError: when a position is no longer finite.
+            SimulationDivergedError: a position is no longer finite.
         """
         mujoco.mj_step(self._model, self._data, count)
         if not np.isfinite(self._data.qpos).all() or self._data.warning.number[:].any():
@@ -168,14 +168,14 @@ class FlexWorld:
             )
 
     def save(self) -> Float[np.ndarray, " values"]:
-        """Return everything that the next step depends on; only while nothing is held."""
+        """Return the full state that the next step depends on; only valid while nothing is held."""
         size = mujoco.mj_stateSize(self._model, _STATE)
         state = np.empty(size)
         mujoco.mj_getState(self._model, self._data, state, _STATE)
         return state
 
     def restore(self, state: Float[np.ndarray, " values"]) -> None:
-        """Go back to a saved state of the same cloth; nothing is held then.
+        """Restore a saved state of the same cloth; nothing is held then.
 
         Raises:
             InvalidConfigError: the state is of another cloth.
@@ -190,7 +190,7 @@ class FlexWorld:
         mujoco.mj_forward(self._model, self._data)
 
     def settle(self, *, speed: float = 0.01, limit_s: float = 1.0) -> float:
-        """Step until the cloth is at rest (rms speed [m/s] below `speed`); seconds used."""
+        """Step until the cloth's rms speed [m/s] is below `speed`; return the time used [s]."""
         start = self.time_s
         while True:
             self.step()
@@ -199,10 +199,10 @@ class FlexWorld:
 
 
 def _scene(mesh: ClothMesh, fabric: Fabric, contact_s: float) -> str:
-    """Return the MJCF of the table, the cloth and a gripper whose grasp constraints sleep.
+    """Return the MJCF of the table, the cloth and a gripper with inactive grasp constraints.
 
-    The grasp constraints name vertex 0 until `FlexWorld.grasp` points them elsewhere: MuJoCo
-    evaluates a constraint's bodies anew in every step.
+    The grasp constraints refer to vertex 0 until `FlexWorld.grasp` changes them. This works because
+    MuJoCo evaluates a constraint's bodies anew in every step.
     """
     points = " ".join(f"{x:.9g}" for x in np.asarray(mesh.vertices, dtype=float).ravel())
     elements = " ".join(map(str, mesh.faces.ravel()))

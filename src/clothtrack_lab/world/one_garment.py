@@ -1,13 +1,13 @@
-"""One garment for many recordings and episodes, unlike those that the networks were trained on.
+"""A single garment for many recordings and episodes, outside the networks' training data.
 
-The paper's reason to fine-tune is a garment that the network has never seen. Everything that stays
-with such a garment is drawn here, from one seed: cut, size, fabric, its mesh in the world, and the
-camera, tool and speeds of the table that it lies on. Poses, starts, actions, colors and noise are
-drawn from the seed of the recording or the episode, as always.
+The paper fine-tunes for a garment that the network has never seen. All constant properties of such
+a garment are drawn here from one seed: cut, size, fabric, its mesh in the world, and the camera,
+tool and speeds of its table. Poses, starts, actions, colors and noise are drawn from the seed of
+the recording or the episode, as usual.
 
-Sizes fit the published network's canonical cube, beyond the sizes that it was trained on; cuts lie
-beyond `garments.outlines.draw_shirt`, the cloth is thicker than any of the benchmark's, the
-camera noisier.
+Sizes fit the published network's canonical cube but are outside its training range. Cuts are
+outside the range of `garments.outlines.draw_shirt`, the cloth is thicker than any in the benchmark,
+and the camera is noisier.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ from clothtrack_lab.world.episodes import EpisodeConfig
 from clothtrack_lab.world.template_mesh import size_of
 
 _SHIRT_WIDTHS_M = (0.56, 0.59)
-"""From sleeve to sleeve [m]; the published network was trained on 0.42 to 0.54."""
+"""Width of a shirt from sleeve to sleeve [m]; the published network was trained on 0.42 to 0.54."""
 
 _TOWEL_LENGTHS_M = (0.36, 0.39)
 """Longer side of a towel [m]; the published network was trained on 0.22 to 0.34."""
@@ -36,17 +36,17 @@ TOWEL_ASPECTS = (0.4, 0.48)
 """Shorter side over the longer one; states of towels have 0.5 to 1."""
 
 _OF_GARMENTS = 0x0E6A
-"""Keeps the draws of this module apart from those of others with the same seed."""
+"""Constant that separates this module's random draws from those of others with the same seed."""
 
 
 @dataclass(frozen=True)
 class OneGarment:
-    """A garment, and the table that it is filmed on.
+    """A garment, and the table that it is recorded on.
 
     Attributes:
         kind: towel or T-shirt.
-        seed: that all of it is drawn from.
-        sweater: a shirt with the long sleeves and the wide armholes of a sweater.
+        seed: seed of all its draws.
+        sweater: whether a shirt has the long sleeves and the wide armholes of a sweater.
     """
 
     kind: GarmentKind
@@ -54,10 +54,10 @@ class OneGarment:
     sweater: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a seed that nothing can be drawn from.
+        """Refuse invalid settings.
 
         Raises:
-            InvalidConfigError: it is negative, or a towel is to be a sweater.
+            InvalidConfigError: the seed is negative, or a towel is a sweater.
         """
         if self.seed < 0:
             raise InvalidConfigError(f"garment_seed is {self.seed}; give 0 or more")
@@ -66,7 +66,7 @@ class OneGarment:
 
     @property
     def label(self) -> str:
-        """What recordings and episodes of it begin their names with."""
+        """Prefix of the names of its recordings and episodes."""
         return f"{self.kind}_{'s' if self.sweater else 'g'}{self.seed:04d}"
 
     @cached_property
@@ -84,8 +84,8 @@ class OneGarment:
         """Return the garment at rest, around the origin.
 
         Args:
-            vertex_count: about how many vertices.
-            again: another triangulation than the world's, as a template has.
+            vertex_count: approximate number of vertices.
+            again: whether to use another triangulation than the world's, as for a template.
         """
         outline, size_m = self.cut
         seed = 2 * self.seed + again
@@ -98,10 +98,10 @@ class OneGarment:
 
     @cached_property
     def config(self) -> EpisodeConfig:
-        """Fabric, camera, tool and speeds: what is filmed, and how."""
+        """Episode configuration with fabric, camera, tool and speeds."""
         width_m, length_m = size_of(self.flat())
         longest = max(width_m, length_m)
-        # The camera's height follows the longer side.
+        # The camera's height depends on the longer side.
         ranges = replace(
             _OUTSIDE,
             towel_side_m=(longest, longest),
@@ -111,7 +111,7 @@ class OneGarment:
         return replace(vary(self.kind, self.seed, ranges), size_m=(width_m, length_m))
 
     def write_template(self, folder: Path) -> Path:
-        """Write what `clothtrack garment` makes of a garment that lies flat; one file per garment.
+        """Write the garment's template as `clothtrack garment` makes it from a flat garment.
 
         Raises:
             StorageError: the disk refuses.
@@ -150,7 +150,7 @@ _SWEATER = {
 
 
 def _drawn(rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]]) -> ShirtOutline:
-    """Return proportions from these ranges whose outline does not cross itself."""
+    """Return random proportions from these ranges whose outline does not cross itself."""
     while True:
         outline = ShirtOutline(**{name: rng.uniform(*ends) for name, ends in ranges.items()})
         try:

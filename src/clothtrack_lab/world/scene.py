@@ -1,4 +1,4 @@
-"""What lies behind every pixel of the simulated camera: table, cloth or tool, without any noise."""
+"""Noise-free rendering of the simulated camera's view of table, cloth and tool."""
 
 from dataclasses import dataclass, replace
 
@@ -16,16 +16,16 @@ TABLE, CLOTH, TOOL, TIP = 0, 1, 2, 3
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The surface that each pixel of one picture shows; all arrays in single precision.
+    """The surface seen by each pixel of one picture; all arrays are in single precision.
 
     Attributes:
         depth: distance along the optical axis [m].
-        label: `TABLE`, `CLOTH`, `TOOL` or, at the end of the tool, `TIP`.
-        height: height of the surface over the table [m].
-        normals: unit normal of the surface; smooth over the cloth, of either sign there.
+        label: surface label: `TABLE`, `CLOTH`, `TOOL` or, at the end of the tool, `TIP`.
+        height: height of the surface above the table [m].
+        normals: unit normal of the surface; smooth on the cloth, where its sign is arbitrary.
         facing: cosine between the surface's normal and the line of sight; 1 seen from the front.
         material: canonical coordinates [m] of the cloth's pixels, row by row.
-        hidden_share: share of the cloth's picture that the tool is in front of.
+        hidden_share: share of the cloth's pixels that the tool hides.
     """
 
     depth: Float[np.ndarray, "height width"]
@@ -41,7 +41,7 @@ class Scene:
     """A cloth and a tool over the table z = 0, seen by one camera."""
 
     def __init__(self, cloth: ClothMesh, tool: Tool, camera: Camera) -> None:
-        """Prepare the buffers for this cloth's triangles; its vertices come with each view."""
+        """Prepare the buffers for this cloth's triangles; each view takes its vertices."""
         self.camera = camera
         self._cloth = cloth
         self._canonical = cloth.vertices if cloth.canonical is None else cloth.canonical
@@ -57,14 +57,14 @@ class Scene:
 
     @property
     def table_points(self) -> Float[np.ndarray, "height width 3"]:
-        """The point of the table [m] on the line of sight of every pixel."""
+        """Table point [m] on the line of sight of every pixel."""
         points = self.camera.position + self._rays * self._table_depth[:, None]
         return points.reshape(self.camera.height, self.camera.width, 3)
 
     def view(
         self, vertices: Float[np.ndarray, "vertices 3"], tip: Float[np.ndarray, " 3"] | None
     ) -> View:
-        """Return the scene with the cloth's vertices and the tool's tip here [m]; None: no tool."""
+        """Return the view for these cloth vertices and this tool tip [m]; None for no tool."""
         depth = self._table_depth.astype(np.float32)
         label = np.full(len(depth), TABLE, dtype=np.uint8)
         height = np.zeros(len(depth), dtype=np.float32)
@@ -107,11 +107,11 @@ class Scene:
         )
 
     def turn_tool(self, azimuth_rad: float) -> None:
-        """Let the tool leave its tip in this direction from now on, seen from above."""
+        """Set the direction in which the tool leaves its tip, seen from above."""
         self._tool = replace(self._tool, azimuth_rad=azimuth_rad)
 
     def out_of_picture(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-        """Where the tip [m] goes when the tool draws back along its axis until it is not seen."""
+        """Return the tip position [m] after the tool retracts along its axis out of view."""
         away = tip
         while np.isfinite(self._draw_tool.render(self._tool.vertices(away)).depth).any():
             away = away + 0.05 * self._tool.axis
@@ -143,7 +143,7 @@ def _unit(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors
 def _face_vectors(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "faces 3"]:
-    """Return the normal of each face, as long as twice its area."""
+    """Return the normal of each face, with a length of twice its area."""
     corners = vertices[faces]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -153,9 +153,8 @@ def _corner_normals(
 ) -> Float[np.ndarray, "faces 3 3"]:
     """Return the normal at each corner of each face.
 
-    That of the smooth surface, or the face's at a crease.
-
-    At a seam of two layers the smooth normals cancel, and the faces' own remain.
+    It is the normal of the smooth surface, or the face's own normal at a crease. At a seam of two
+    layers the smooth normals cancel, and the faces' own normals remain.
     """
     weighted = _face_vectors(vertices, faces)
     smooth = np.zeros((len(vertices), 3))

@@ -1,4 +1,4 @@
-"""The simulated depth camera: what it measures of a cloth, a table and a tool in the way."""
+"""The simulated depth camera, with measurement errors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,18 +14,18 @@ from clothtrack_lab.world.appearance import Appearance, Painter
 from clothtrack_lab.world.scene import CLOTH, Scene
 
 _PATCH_PERIOD_FRAMES = 80.0
-"""Patches without depth are elsewhere after a quarter of this many pictures."""
+"""Period of the patches without depth [pictures]; they have moved after a quarter of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One moment as the camera saw it.
+    """One picture of the camera.
 
     Attributes:
         color: color picture, red first.
         depth: distance along the optical axis [m]; 0 where nothing was measured.
-        hidden_share: share of the cloth's picture that the tool is in front of.
-        missing_share: share of the rest of it that has no depth.
+        hidden_share: share of the cloth's pixels that the tool hides.
+        missing_share: share of the other cloth pixels that have no depth.
     """
 
     color: UInt8[np.ndarray, "height width 3"]
@@ -35,9 +35,9 @@ class Picture:
 
 
 def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
-    """Return a camera above the origin of the table z = 0, looking down, slightly tilted at random.
+    """Return a camera above the origin of the table z = 0 that looks down with a random tilt.
 
-    Its image has the world's x to the right and y upwards.
+    In its image the world's x points right and y points up.
     """
     tilt = np.radians(config.tilt_deg) * rng.standard_normal(2)
     roll = np.radians(config.tilt_deg) * rng.standard_normal()
@@ -45,7 +45,7 @@ def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
     downwards = np.diag([1.0, -1.0, -1.0])
     pose = np.eye(4)
     pose[:3, :3] = downwards @ turn
-    # Stands where its axis meets the table near the origin, so that the tilt moves nothing out.
+    # Its axis meets the table near the origin, so that the tilt moves nothing out of the picture.
     axis = pose[:3, 2]
     pose[:3, 3] = axis * (config.camera_height_m / axis[2])
     return Camera(
@@ -61,7 +61,7 @@ def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
 
 
 def misplaced(camera: Camera, error_m: float, rng: np.random.Generator) -> Camera:
-    """Return the camera moved by this length [m] in a random direction: a wrong calibration."""
+    """Return the camera moved by this length [m] in a random direction, as a calibration error."""
     direction = rng.standard_normal(3)
     pose = camera.world_from_camera.copy()
     pose[:3, 3] += error_m * direction / np.linalg.norm(direction)
@@ -69,18 +69,18 @@ def misplaced(camera: Camera, error_m: float, rng: np.random.Generator) -> Camer
 
 
 class Sensor:
-    """A camera above one scene, with its own slowly varying error."""
+    """A camera above one scene with a slowly varying error."""
 
     def __init__(
         self, scene: Scene, config: SensorConfig, appearance: Appearance, *, seed: int
     ) -> None:
-        """Look at a scene.
+        """Set up the sensor for a scene.
 
         Args:
             scene: cloth, tool and camera.
-            config: how badly the camera measures.
+            config: measurement errors of the camera.
             appearance: colors of cloth, table and tool.
-            seed: of the noise.
+            seed: seed of the noise.
         """
         self._scene = scene
         self._config = config
@@ -92,7 +92,7 @@ class Sensor:
     def capture(
         self, vertices: Float[np.ndarray, "vertices 3"], tip: Float[np.ndarray, " 3"] | None
     ) -> Picture:
-        """Take a picture with the cloth's vertices and the tool's tip here [m]; None: no tool."""
+        """Take a picture for these cloth vertices and this tool tip [m]; None for no tool."""
         view = self._scene.view(vertices, tip)
         depth = depth_noise(view.depth, view.facing, self._wave, self._config, self._rng)
         if self._patches is not None:
@@ -102,15 +102,15 @@ class Sensor:
         return Picture(self._painter.paint(view), depth, view.hidden_share, missing)
 
     def save(self) -> dict[str, Any]:
-        """Return where its noise is, as plain values: the next picture follows from it."""
+        """Return the state of its noise as plain values; it determines the next picture."""
         patches = 0 if self._patches is None else self._patches.count
         return {"noise": self._rng.bit_generator.state, "patches": patches}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on with the noise where `save` of a sensor with the same seed was.
+        """Restore the noise from `save` of a sensor with the same seed.
 
         Raises:
-            KeyError, TypeError, ValueError: `saved` is something else.
+            KeyError, TypeError, ValueError: `saved` is not such a state.
         """
         self._rng.bit_generator.state = saved["noise"]
         if self._patches is not None:
@@ -118,7 +118,7 @@ class Sensor:
 
 
 class _Patches:
-    """Where there is no depth in each picture: the peaks of a slowly changing random field."""
+    """The pixels without depth in each picture, at the peaks of a slowly changing random field."""
 
     def __init__(self, config: SensorConfig, rng: np.random.Generator) -> None:
         self._share, self.count = config.patch_dropout, 0
@@ -130,7 +130,7 @@ class _Patches:
         ]
 
     def next(self) -> Bool[np.ndarray, "height width"]:
-        """Return the pixels without depth of one more picture."""
+        """Return the pixels without depth in the next picture."""
         phase = 2.0 * np.pi * self.count / _PATCH_PERIOD_FRAMES
         self.count += 1
         field = np.cos(phase) * self._fields[0] + np.sin(phase) * self._fields[1]

@@ -1,11 +1,11 @@
-"""Flattening episodes in the simulated world: same seed, same crumpled start, whoever flattens.
+"""Flattening episodes in the simulated world, with one crumpled start per seed for all methods.
 
     OUT/episodes/NAME/        the episode (`EpisodeStore`)
     OUT/recordings/NAME/      the same as one normal recording
     OUT/truth/NAME.npz        true vertices at the first and last frame of every action
     OUT/worlds/NAME/00.npz    the world after every step, to go on from
 
-The truth is apart, as everywhere: no tracking code takes it.
+The truth is stored separately, and no tracking code reads it.
 """
 
 import logging
@@ -33,13 +33,13 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SimulatedEpisode:
-    """Which episode.
+    """The identification of an episode.
 
     Attributes:
         kind: the garment.
-        seed: of garment, world, start and candidates.
-        garment_seed: of the garment (`OneGarment`), the same for every episode; None: each `seed`
-            has its own.
+        seed: seed of garment, world, start and candidates.
+        garment_seed: seed of the garment (`OneGarment`), the same for every episode; None if each
+            `seed` has its own garment.
     """
 
     kind: GarmentKind
@@ -48,7 +48,7 @@ class SimulatedEpisode:
 
     @property
     def garment(self) -> OneGarment | None:
-        """The garment that does not depend on the episode's seed."""
+        """Garment that does not depend on the episode's seed, if any."""
         return None if self.garment_seed is None else OneGarment(self.kind, self.garment_seed)
 
     @property
@@ -59,13 +59,13 @@ class SimulatedEpisode:
 
 @dataclass(frozen=True, eq=False)
 class EpisodeParts:
-    """What several episodes share, so that networks are loaded once.
+    """The parts shared by several episodes, so that networks are loaded once.
 
     Attributes:
-        perception: finds the cloth; made from the configuration when None.
-        dynamics: of the planner; likewise.
-        starts: folder where crumpled starts are kept, shared by all ways of flattening.
-        propose: any other policy than "planned".
+        perception: perception of the cloth; made from the configuration when None.
+        dynamics: dynamics of the planner; made from the configuration when None.
+        starts: folder of crumpled starts, shared by all methods of flattening.
+        propose: policy other than "planned".
     """
 
     perception: Perception | None = None
@@ -85,32 +85,32 @@ def flatten_simulated(
     watch: Watch | None = None,
     progress: Progress | None = None,
 ) -> EpisodeStore:
-    """Flatten one crumpled garment in the simulated world; a finished episode is left as it is.
+    """Flatten one crumpled garment in the simulated world; a finished episode is left unchanged.
 
     Args:
         out: folder for episodes, recordings and truth.
-        episode: which.
-        config: how.
-        robot_config: of the world and its robot.
-        parts: what several episodes share.
-        device: where to compute.
-        watch: called after every step.
-        progress: called with every action, and with what is done for it.
+        episode: episode to run.
+        config: configuration of flattening.
+        robot_config: configuration of the world and its robot.
+        parts: parts shared by several episodes.
+        device: device to compute on.
+        watch: function called after every step.
+        progress: function called with every action and its current stage.
 
     Raises:
         InvalidConfigError: `out` holds an episode of this name with other settings.
         InvalidResultError: weights are missing, damaged or of another garment; nothing is written.
-        SimulationDivergedError: the physics does.
+        SimulationDivergedError: the physics diverges.
         StorageError: the disk refuses.
     """
     parts = parts or EpisodeParts()
     name = episode.label
     robot = SimulatedRobot(episode.kind, episode.seed, robot_config, episode.garment)
     dynamics, perception = parts.dynamics, parts.perception
-    # Before anything is written: weights that cannot be read are refused here.
+    # Refuse unreadable weights before anything is written.
     if config.policy == "planned":
         dynamics = dynamics or dynamics_of(config, device=device)
-        # A control asks this robot, so that it cannot be shared.
+        # A control reads this robot's truth, so it cannot be shared.
         if config.perception.name == "truth" or perception is None:
             perception = perception_of(
                 episode.kind, config.perception, true_cloth=robot.true_cloth, device=device
@@ -152,16 +152,16 @@ def flatten_simulated(
 def shared_parts(
     kind: GarmentKind, config: FlattenConfig, *, starts: Path | None = None, device: str = "cpu"
 ) -> EpisodeParts:
-    """Return what episodes of one garment can share; weights that cannot be read are refused here.
+    """Return the parts that episodes of one garment can share; refuse unreadable weights.
 
     Args:
         kind: the garment.
-        config: how it is flattened.
+        config: configuration of flattening.
         starts: folder of crumpled starts.
-        device: where to compute.
+        device: device to compute on.
 
     Raises:
-        InvalidConfigError: something is asked for that there is not.
+        InvalidConfigError: a requested part does not exist.
         InvalidResultError: weights are missing, damaged or of another garment.
     """
     if config.policy != "planned":
@@ -175,14 +175,14 @@ def shared_parts(
 def knowing_the_garment(
     config: FlattenConfig, garment: OneGarment | None, out: Path
 ) -> FlattenConfig:
-    """Return the configuration with the garment's own template, written into `out/garments`.
+    """Return the configuration with the garment's template, written into `out/garments`.
 
-    Whoever has one garment measures it once (`clothtrack garment`). Without a garment, nothing is
-    written or changed.
+    This corresponds to measuring a garment once (`clothtrack garment`). Without a garment, nothing
+    is written or changed.
 
     Args:
-        config: how it is flattened.
-        garment: the one garment, or None.
+        config: configuration of flattening.
+        garment: single garment, or None.
         out: folder of the episodes.
 
     Raises:
@@ -197,10 +197,10 @@ def knowing_the_garment(
 
 
 def require_one_garment(config: FlattenConfig, garment: OneGarment | None) -> None:
-    """Refuse a garment seed beside the template of another garment.
+    """Refuse a garment seed together with a template.
 
     Raises:
-        InvalidConfigError: with both.
+        InvalidConfigError: both are given.
     """
     if garment is not None and config.perception.template:
         raise InvalidConfigError(
@@ -210,14 +210,14 @@ def require_one_garment(config: FlattenConfig, garment: OneGarment | None) -> No
 
 
 def begin(robot: SimulatedRobot, start: Path) -> None:
-    """Crumple the robot's cloth: the same start for every way to flatten it.
+    """Crumple the robot's cloth to the same start for every method.
 
     Args:
-        robot: with the flat cloth.
-        start: file where the start is kept; made when it is not there.
+        robot: robot with the flat cloth.
+        start: file of the start; made if it does not exist.
 
     Raises:
-        SimulationDivergedError: the physics does.
+        SimulationDivergedError: the physics diverges.
         StorageError: the disk refuses.
     """
     if start.exists():
@@ -225,7 +225,7 @@ def begin(robot: SimulatedRobot, start: Path) -> None:
         return
     robot.crumple()
     robot.save(start)
-    # From the file, as in every other run.
+    # Restore from the file, as in every other run.
     robot.restore(start)
 
 
@@ -236,11 +236,11 @@ class _Worlds:
         self._robot, self.folder = robot, folder
 
     def save(self, step: int) -> None:
-        """Keep the world after a step."""
+        """Save the world after a step."""
         self._robot.save(self.folder / f"{step:02d}.npz")
 
     def restore(self, step: int) -> None:
-        """Put the world where it was after a step."""
+        """Restore the world after a step."""
         self._robot.restore(self.folder / f"{step:02d}.npz")
 
     def positions(self, step: int) -> np.ndarray:
@@ -250,7 +250,7 @@ class _Worlds:
 
 
 def _write_truth(path: Path, robot: SimulatedRobot, store: EpisodeStore, worlds: _Worlds) -> None:
-    """The true vertices at the end of every step, by frames of the joined recording."""
+    """Write the true vertices at the end of every step, by frames of the joined recording."""
     if path.exists():
         return
     flat, _ = robot.true_cloth()

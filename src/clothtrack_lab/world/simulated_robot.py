@@ -1,7 +1,7 @@
-"""A robot in the simulated world (MuJoCo): it moves a cloth that planning cannot look into.
+"""A robot in the simulated world (MuJoCo), whose cloth state planning cannot access.
 
-What a camera could not tell is in `true_cloth`, which only scoring and the named control
-`perception=truth` ask.
+Data that a camera cannot measure are in `true_cloth`, which only scoring and the named control
+`perception=truth` use.
 """
 
 import json
@@ -33,40 +33,41 @@ from clothtrack_lab.world.template_mesh import SeededGarment, laid_down, random_
 from clothtrack_lab.world.tool import Tool
 
 _MOST_DROPS = 5
-"""How often the cloth is lifted at a random vertex and let go before an episode, at most; it stops
-as soon as the cloth is crumpled."""
+"""Largest number of times that the cloth is lifted at a random vertex and dropped before an
+episode; it stops as soon as the cloth is crumpled."""
 
 _CRUMPLED = 0.65
-"""Share of the flat area under which the cloth counts as crumpled."""
+"""Share of the flat area below which the cloth counts as crumpled."""
 
 _DROP_SPEED = 0.6
 """Speed of the lifted vertex [m/s]."""
 
 _LIFT_SHARE = (0.4, 0.8)
-"""Least and largest height at which the vertex is let go, as a share of that at which the cloth
-hangs clear of the table. Dropped from 1 a towel ends as a ball that no single pick-and-place opens:
-of 25 the best gained 6 % of the flat area."""
+"""Smallest and largest height at which the vertex is released, as a share of that at which the
+cloth hangs clear of the table. A towel dropped from 1 ends as a ball that no single pick-and-place
+opens: the best of 25 gained 6 % of the flat area."""
 
 Stop = Callable[[RgbdFrame, Float[np.ndarray, " 3"], bool], str]
-"""Is shown a picture, where the tip is [m] and whether it is closed; returns why the robot is to
-stop, or nothing."""
+"""Function of a picture, the tip position [m] and whether the gripper is closed, which returns a
+reason to stop, or an empty string."""
 
 _OF_STARTS = 0xF1A7
-"""Keeps the draws of this module apart from those of others with the same seed."""
+"""Constant that separates this module's random draws from those of others with the same seed."""
 
 
 @dataclass(frozen=True)
 class SimulatedRobotConfig:
-    """The robot, and the world that it is in.
+    """The configuration of the robot and its world.
 
     Attributes:
-        episode: garment, camera, fabric, tool and speeds; drawn from the seed as in the benchmark
-            when None.
-        film: take pictures all through an action; without them only after it.
-        layers: layers of cloth that the gripper takes, the uppermost first.
-        contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`):
-            a shirt that passed through itself in its fall is knotted, and nobody can flatten it.
-        limits: what the robot refuses.
+        episode: configuration of garment, camera, fabric, tool and speeds; drawn from the seed as
+            in the benchmark when None.
+        film: whether to take pictures throughout an action; otherwise only after it.
+        layers: number of layers of cloth that the gripper takes, uppermost first.
+        contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`),
+            because a shirt that passed through itself in its fall is knotted and cannot be
+            flattened.
+        limits: limits beyond which the robot refuses.
     """
 
     episode: EpisodeConfig | None = None
@@ -84,8 +85,8 @@ class SimulatedRobot:
     Attributes:
         kind: the garment.
         config: the robot.
-        cloth: what a person at the table knows of the cloth: kind, color and size.
-        table: z = 0.
+        cloth: information that a person at the table has: kind, color and size.
+        table: plane z = 0.
     """
 
     def __init__(
@@ -95,14 +96,14 @@ class SimulatedRobot:
         config: SimulatedRobotConfig | None = None,
         garment: OneGarment | None = None,
     ) -> None:
-        """Lay the flat garment down; `crumple` makes the start of an episode of it.
+        """Place the flat garment on the table; `crumple` then makes the start of an episode.
 
         Args:
             kind: the garment.
-            seed: of garment, fabric, camera, noise and the start.
+            seed: seed of garment, fabric, camera, noise and the start.
             config: the robot.
-            garment: what lies on the table, in place of one that is drawn from `seed`; its camera,
-                tool and speeds too where the configuration has no episode.
+            garment: garment on the table, instead of one drawn from `seed`; its camera, tool and
+                speeds are used too if the configuration has no episode.
 
         Raises:
             InvalidConfigError: a setting is missing, or `seed` is negative.
@@ -156,16 +157,16 @@ class SimulatedRobot:
     def execute(
         self, action: PickPlace, *, stop: Stop | None = None, slips_at: float = 1.0
     ) -> Execution:
-        """Pick up what lies at the pick, carry it, let it go, and wait until it rests.
+        """Pick up the cloth at the pick, carry it, release it, and wait until it rests.
 
         Args:
-            action: what is done.
-            stop: is shown every picture on the way, with where the tip is [m] and whether it is
-                closed. Where it returns a reason, the gripper opens and retreats from there.
-            slips_at: share of the way after which the cloth slips out of the gripper; 1: never.
+            action: action to execute.
+            stop: function called with every picture on the path, the tip position [m] and whether
+                it is closed. If it returns a reason, the gripper opens and retreats from there.
+            slips_at: share of the path after which the cloth slips out of the gripper; 1 for never.
 
         Raises:
-            InvalidConfigError: the path is out of the limits, or `slips_at` is not a share.
+            InvalidConfigError: the path is outside the limits, or `slips_at` is not a share.
         """
         if not 0.0 <= slips_at <= 1.0:
             raise InvalidConfigError(f"slips_at is {slips_at}; it is a share of the way, 0 to 1")
@@ -178,7 +179,7 @@ class SimulatedRobot:
         held = self._under(action.pick)
         tip = action.pick.copy()
         if len(held):
-            # Down to the cloth, wherever it is: fingers close on what they touch.
+            # Move down to the actual cloth, because fingers close on what they touch.
             tip[2] = self._world.positions[held[0], 2]
         way.take(away)
         for point in free_path(away, tip, episode.action)[:-1]:
@@ -208,12 +209,12 @@ class SimulatedRobot:
         return Execution(path, tuple(way.film), grasped=bool(len(held)), error=way.reason)
 
     def home(self) -> None:
-        """The tool is out of view already: it retreats after every action."""
+        """Do nothing, because the tool retreats out of view after every action."""
 
     # Before an episode
 
     def crumple(self) -> None:
-        """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
+        """Lift the cloth at a random vertex, move it over the table's middle and release it."""
         episode = self._episode
         self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
         most_area_m2 = _CRUMPLED * projected_area(self._flat.vertices, self._flat.faces)
@@ -237,10 +238,10 @@ class SimulatedRobot:
                 break
 
     def save(self, path: Path) -> None:
-        """Write the world as it is, to go on from; whole or not at all.
+        """Write the state of the world for resuming, completely or not at all.
 
-        What the camera and the picker draw next belongs to it: the pictures of an episode that
-        goes on are those of one that was never interrupted.
+        It includes the random state of the camera and the picker, so a resumed episode has the same
+        pictures as an uninterrupted one.
 
         Raises:
             StorageError: the disk refuses.
@@ -258,7 +259,7 @@ class SimulatedRobot:
         )
 
     def restore(self, path: Path) -> None:
-        """Go back to what `save` wrote of the same garment and seed.
+        """Restore a state that `save` wrote for the same garment and seed.
 
         Raises:
             InvalidResultError: the file is missing or damaged.
@@ -267,9 +268,9 @@ class SimulatedRobot:
         try:
             file = read_npz(path)
             state, pictures = file["state"], int(file["pictures"])
-            # Worlds that do not say it were saved before there was a choice.
+            # Worlds without this value were saved before it could be set.
             contact_s = float(file.get("contact_s", USUAL_CONTACT_S))
-            # Those without it were saved before their noise was.
+            # Worlds without noise were saved before the noise was stored.
             noise = json.loads(str(file["noise"])) if "noise" in file else self._noise()
             self._sensor.restore(noise["sensor"])
             self._of_picker.bit_generator.state = noise["picker"]
@@ -288,15 +289,15 @@ class SimulatedRobot:
         self._pictures = pictures
 
     def _noise(self) -> dict[str, Any]:
-        """Return where the generators of camera and picker are, as plain values."""
+        """Return the states of the generators of camera and picker as plain values."""
         return {"sensor": self._sensor.save(), "picker": self._of_picker.bit_generator.state}
 
     # What no camera knows
 
     def true_cloth(self) -> tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]:
-        """Return the true garment at rest and where it is [m].
+        """Return the true garment at rest and its true vertices [m].
 
-        For scoring and the named control only.
+        It is only for scoring and the named control.
         """
         return self._flat, self._world.positions
 
@@ -331,7 +332,7 @@ class SimulatedRobot:
         return np.array(held, dtype=np.int64)
 
     def _retreat(self, way: "_Path", tip: Float[np.ndarray, " 3"]) -> None:
-        """Draw the tool back while the cloth comes to rest; the last picture shows no tool."""
+        """Retract the tool while the cloth comes to rest; the last picture shows no tool."""
         episode = self._episode
         away = self._scene.out_of_picture(tip)
         path = free_path(tip, away, episode.action)
@@ -347,12 +348,12 @@ class SimulatedRobot:
                 break
 
     def tick(self) -> float:
-        """Return the time of the camera's next picture [s], which is past then."""
+        """Return the time of the camera's next picture [s] and advance to the one after."""
         self._pictures += 1
         return (self._pictures - 1) * self.frame_s
 
     def picture(self, tip: Float[np.ndarray, " 3"] | None) -> RgbdFrame:
-        """Return a picture with the tool's tip here [m]; None: without the tool."""
+        """Return a picture with the tool's tip at this position [m]; None for no tool."""
         shown = self._sensor.capture(self._world.positions, tip)
         return RgbdFrame(
             self.tick(), self._scene.camera, shown.depth.astype(np.float32), color=shown.color
@@ -360,7 +361,7 @@ class SimulatedRobot:
 
 
 class _Path:
-    """The tip's path through one action, and the pictures taken on it."""
+    """The tip's path during one action, and the pictures taken on it."""
 
     def __init__(self, robot: SimulatedRobot, stop: Stop | None) -> None:
         self._robot, self._stop = robot, stop
@@ -373,7 +374,7 @@ class _Path:
     def take(
         self, tip: Float[np.ndarray, " 3"], *, closed: bool = False, needed: bool = False
     ) -> None:
-        """Note where the tip is; take a picture if one is wanted."""
+        """Record the tip position, and take a picture if requested."""
         robot = self._robot
         if robot.config.film or needed or not self.film:
             self.film.append(robot.picture(tip))

@@ -1,7 +1,7 @@
-"""The flat garment, where it lies before anybody moves it, and the first mesh that a tracker gets.
+"""The flat garment, its initial pose, and the first mesh given to a tracker.
 
-That mesh has another triangulation than the world's cloth, is misplaced, mis-scaled and noisy, as
-a first mesh measured by hand would be.
+That mesh has another triangulation than the world's cloth and is misplaced, mis-scaled and noisy,
+like a first mesh measured by hand.
 """
 
 from collections.abc import Callable
@@ -20,18 +20,18 @@ from clothtrack.recordings.template_file import read_template
 from clothtrack_lab.world.flex import CONTACT_RADIUS_M
 
 Error = Annotated[float, Bounds(least=0, most=1)]
-"""How far [m] something is from where it is said to be."""
+"""Size of an error [m]."""
 
 
 @dataclass(frozen=True)
 class TemplateConfig(Checked):
-    """The first mesh that a recording carries, and how wrong it is.
+    """The first mesh of a recording, and its errors.
 
     Attributes:
-        vertex_count: about how many vertices.
-        shift_m: length of its misplacement in the table's plane [m].
-        turn_deg: standard deviation of its turn about the vertical [deg].
-        scale: standard deviation of its relative error of size.
+        vertex_count: approximate number of vertices.
+        shift_m: length of its displacement in the table's plane [m].
+        turn_deg: standard deviation of its rotation about the vertical [deg].
+        scale: standard deviation of its relative size error.
         noise_m: standard deviation of independent noise of each vertex along x and along y [m].
     """
 
@@ -44,16 +44,16 @@ class TemplateConfig(Checked):
 
 @runtime_checkable
 class GivenGarment(Protocol):
-    """A garment that does not depend on the seed of what is filmed (`world.one_garment`)."""
+    """A garment that does not depend on the seed of the recording (`world.one_garment`)."""
 
     @property
     def label(self) -> str:
-        """What recordings of it begin their names with."""
+        """Prefix of the names of its recordings."""
         ...
 
     @property
     def seed(self) -> int:
-        """What it is drawn from."""
+        """Seed that it is drawn from."""
         ...
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
@@ -63,13 +63,13 @@ class GivenGarment(Protocol):
 
 @dataclass(frozen=True)
 class SeededGarment:
-    """The garment of one recording or episode: of a usual cut, or the template of a file.
+    """The garment of one recording or episode, with a usual cut or from a template file.
 
     Attributes:
         kind: the garment.
-        file: of the template (`clothtrack garment`), which has its own size; empty: none.
-        size_m: width and length [m]; usual for its kind when None.
-        seed: of the recording or episode.
+        file: file of the template (`clothtrack garment`), which has its own size; empty for none.
+        size_m: width and length [m]; the usual size of its kind when None.
+        seed: seed of the recording or episode.
     """
 
     kind: GarmentKind
@@ -79,7 +79,7 @@ class SeededGarment:
 
     @property
     def label(self) -> str:
-        """What recordings of it begin their names with."""
+        """Prefix of the names of its recordings."""
         return self.kind
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
@@ -117,7 +117,7 @@ def size_of(flat: ClothMesh) -> tuple[float, float]:
 
 
 def random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
-    """A turn about the vertical and a place on the table [m], near the middle of the picture."""
+    """Return a random rotation about the vertical and position [m] near the picture's middle."""
     angle = np.radians(rng.uniform(-12.0, 12.0))
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = rng.uniform(-0.02, 0.02, 2)
@@ -127,7 +127,7 @@ def random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
 def laid_down(
     mesh: ClothMesh, pose: Float[np.ndarray, "2 3"], height_m: float = CONTACT_RADIUS_M
 ) -> ClothMesh:
-    """Return the flat garment on the table, its lowest vertex at this height [m]: at rest there."""
+    """Return the flat garment at rest on the table, with its lowest vertex at this height [m]."""
     vertices = np.empty(mesh.vertices.shape)
     vertices[:, :2] = mesh.vertices[:, :2] @ pose[:, :2].T + pose[:, 2]
     vertices[:, 2] = mesh.vertices[:, 2] - mesh.vertices[:, 2].min() + height_m
@@ -141,12 +141,12 @@ def misjudged(
     laid: Callable[[ClothMesh], ClothMesh],
     rng: np.random.Generator,
 ) -> ClothMesh:
-    """Return the tracker's first mesh: a flat garment on the table, wrong as `TemplateConfig` says.
+    """Return the tracker's first mesh: a flat garment on the table with these errors.
 
     Args:
-        mesh: the flat garment, of another triangulation than the world's where there is one.
-        wrong: how wrong it becomes.
-        laid: lays a flat garment on the table where the true one lies.
+        mesh: flat garment, with another triangulation than the world's if there is one.
+        wrong: configuration of the errors.
+        laid: function that places a flat garment at the true one's pose on the table.
         rng: source of the errors.
     """
     vertices = laid(mesh).vertices

@@ -7,16 +7,16 @@ from jaxtyping import Bool, Float, Int
 
 _SIDES = 12
 RADII_M = ((0.0, 0.0015), (0.03, 0.003), (0.12, 0.008), (0.9, 0.012))
-"""Distance from the tip [m] and radius there [m]: tweezers on a rod."""
+"""Distance from the tip [m] and radius there [m], for tweezers on a rod."""
 
 
 @dataclass(frozen=True)
 class Tool:
-    """A rod that keeps its direction; only its tip moves.
+    """A rod with a constant direction; only its tip moves.
 
     Attributes:
         azimuth_rad: direction in which it leaves the tip, seen from above, from the x axis.
-        elevation_rad: how steeply it rises from the table.
+        elevation_rad: elevation above the table.
         radii_m: distance from the tip [m] and radius there [m], outwards.
     """
 
@@ -58,14 +58,14 @@ class Tool:
 
     @property
     def tip_faces(self) -> Bool[np.ndarray, " faces"]:
-        """Which triangles are the tip, from its end to the first change of taper."""
+        """Whether each triangle belongs to the tip, from its end to the first change of taper."""
         faces = np.zeros(2 * _SIDES * (len(self.radii_m) - 1) + _SIDES - 2, dtype=bool)
         faces[: 2 * _SIDES] = True
         faces[2 - _SIDES :] = True
         return faces
 
     def vertices(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "vertices 3"]:
-        """Return vertices of the rod [m] when its tip is here."""
+        """Return the vertices of the rod [m] for this tip position."""
         across = np.cross(self.axis, (0.0, 0.0, 1.0))
         across /= np.linalg.norm(across)
         up = np.cross(across, self.axis)
