@@ -88,7 +88,7 @@ def test_a_hood_is_a_bag_whose_mouth_is_at_the_neck(seed: int) -> None:
     assert boundary_loops(opened.faces) == 3
     assert euler_characteristic(hooded) == 2 - 4
     assert smallest_angle_deg(hooded) > 15.0
-    assert hooded.vertices[:, 1].max() == pytest.approx(0.7 * (0.5 + outline.hood), rel=1e-3)
+    assert hooded.vertices[:, 1].max() == pytest.approx(0.7 * (0.5 + outline.hood), rel=0.01)
     behind_the_neck = hooded.vertices[hooded.vertices[:, 1] > 0.36]
     assert np.ptp(behind_the_neck[:, 0]) == pytest.approx(1.4 * outline.hood_width, rel=0.03)
     assert behind_the_neck[:, 2].max() > 0.0 > behind_the_neck[:, 2].min()
