@@ -4,7 +4,8 @@
 
 The world's tool is as thick as a hand and an arm, and hides the cloth in the same manner. Every
 recording is tracked with the path that the world recorded, and with one from clicks at the true
-picks and places, off by some pixels and up to three frames. The tables go into docs/notebook/recording.md.
+picks and places, off by some pixels and up to three frames. The tables go into
+docs/notebook/recording.md.
 `--films 2` stops after two recordings, and each row is written when it is finished; `--smoke`
 records one small towel.
 """

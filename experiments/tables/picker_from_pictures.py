@@ -2,9 +2,9 @@
 
     python experiments picker_from_pictures --out out/picker_from_pictures
 
-The films are those of `clothtrack simulate`, with a colored tip and an exactly recorded path; the
-table goes into docs/notebook/recording.md. `--films 2` stops after two, each row is written when it is
-there; `--smoke` films one small towel.
+The films are those of `clothtrack simulate`, with a colored tip and an exactly recorded path. The
+table goes into docs/notebook/recording.md. `--films 2` stops after two, each row is written when it
+is there; `--smoke` films one small towel.
 """
 
 import argparse
