@@ -232,11 +232,11 @@ def won(rows: Sequence[dict[str, Any]], belief: str, strip_m: float) -> list[flo
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
     """Return both tables, and how wrong the beliefs were."""
     names = list(rows[0]["promised_m2"])
-    lines = ["| planned from | per promised cm2 | per meter off, cm2 | strip, m | known |"]
+    lines = ["| planned from | true per predicted cm2 | per meter off, cm2 | strip, m | known |"]
     lines.append("|---" * 5 + "|")
     lines += [f"| {name} {fitted(rows, name)}" for name in names]
     head = " | ".join(f"strip {100 * strip_m:.0f} cm" for strip_m in STRIPS_M)
-    lines += ["", f"| won, cm2 | {head} |", "|---" * (1 + len(STRIPS_M)) + "|"]
+    lines += ["", f"| true gain, cm2 | {head} |", "|---" * (1 + len(STRIPS_M)) + "|"]
     for name in names:
         cells = " | ".join(_cell(won(rows, name, strip_m)) for strip_m in STRIPS_M)
         lines.append(f"| {name} | {cells} |")
