@@ -6,8 +6,8 @@ import pytest
 from clothtrack.evaluation.local_misfit import local_misfit
 from clothtrack.evaluation.places import place_of
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.mesh_distance import distance_to_mesh
 from clothtrack.recordings.point_cloud import Observation, thin
 
 CAMERA = Camera(

@@ -7,7 +7,7 @@ import pytest
 
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.mesh_distance import distance_to_mesh
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.planning.episode_store import write_step
 from clothtrack.planning.perception import NetworkPerception, PerceptionConfig

@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 from clothtrack.alignment.silhouette import silhouette_gap
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.local_misfit import LocalMisfit, local_misfit
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.mesh_distance import distance_to_mesh
 from clothtrack.geometry.quality import crossings
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe, thin

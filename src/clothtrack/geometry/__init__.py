@@ -7,11 +7,10 @@ from clothtrack._lazy import lazy_names
 if TYPE_CHECKING:
     from clothtrack.geometry.camera import Camera
     from clothtrack.geometry.chamfer import one_way, two_way
-    from clothtrack.geometry.closest_point import closest_on_mesh
+    from clothtrack.geometry.closest_point import closest_on_mesh, distance_to_mesh
     from clothtrack.geometry.coverage import projected_area
     from clothtrack.geometry.devices import quiet_warp
     from clothtrack.geometry.mesh import ClothMesh
-    from clothtrack.geometry.mesh_distance import distance_to_mesh
     from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
     from clothtrack.geometry.sampling import sample_surface
     from clothtrack.geometry.visibility import Rasterizer, VisibilityCheck, visible_vertices

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.mesh_distance import distance_to_mesh
 from clothtrack.reconstruction.agreement import Agreement
 from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings.point_cloud import Observation, thin

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from clothtrack.geometry.mesh_distance import distance_to_mesh
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation
 
