@@ -10,7 +10,7 @@ def row_of(count):
     pixels = np.column_stack([10.0 * np.arange(count), np.zeros(count)]).astype(np.float32)
     positions = np.column_stack([0.001 * pixels, np.zeros(count)]).astype(float)
     points = NumberedPoints.fresh(np.arange(count), pixels)
-    return points.with_neighbors(positions, np.ones(count, bool)), positions
+    return points.with_neighbors(positions), positions
 
 
 def test_points_stay_in_the_order_of_their_numbers():
@@ -50,5 +50,5 @@ def test_fewer_points_than_neighbors_have_nobody_beside_them():
     assert points.beside.shape == (3, NEIGHBORS)
     assert (points.beside[:, 2:] == NOBODY).all()
     assert points.near_each_other(positions).all()
-    nobody = points.with_neighbors(positions, np.zeros(3, bool))
-    np.testing.assert_array_equal(nobody.beside, points.beside)
+    nobody = NumberedPoints.none()
+    assert len(nobody.with_neighbors(np.zeros((0, 3)))) == 0

@@ -114,51 +114,23 @@ def test_what_is_covered_is_lost_and_numbers_are_never_used_twice(tmp_path):
     assert left[3].sum() > 20
     # Old numbers come back where they were, and no other takes them.
     old = found[3].numbers <= found[0].numbers.max()
-    assert old[left[3]].mean() > 0.9
+    assert old[left[3]].mean() > 0.5  # those that have others beside them
     before = found[0].positions[np.searchsorted(found[0].numbers, found[3].numbers[old])]
     assert np.linalg.norm(found[3].positions[old] - before, axis=1).max() < PIXEL_M
     assert len(np.unique(found[3].numbers)) == len(found[3].numbers)
     assert np.isin(found[2].numbers, found[3].numbers).all()
 
 
-def turned(picture, degrees):
-    """A picture turned about its middle, and where that takes each pixel."""
-    middle = (picture.shape[1] - 1) / 2.0, (picture.shape[0] - 1) / 2.0
-    turn = cv2.getRotationMatrix2D(middle, degrees, 1.0)
-    size = picture.shape[1], picture.shape[0]
-    return cv2.warpAffine(picture, turn, size, flags=cv2.INTER_CUBIC), turn
-
-
-def test_a_print_that_was_covered_is_recognized_where_it_has_turned_to(tmp_path):
-    still = printed()
-    after, turn = turned(still, 40.0)
-    masks = np.zeros((3, HEIGHT, WIDTH), bool)
-    masks[1, :9, :9] = True
-    masks[::2] = True
-    grays = [cut(still, (0.0, 0.0)), cut(still, (0.0, 0.0)), cut(after, (0.0, 0.0))]
-    found = followed(recorded(tmp_path / "r", grays, masks=masks))
-    first, last = found[0], found[2]
-    assert len(found[1].numbers) == 0
-    assert len(last.numbers) > 30
-    before = first.positions[np.searchsorted(first.numbers, last.numbers)]
-    # From the world to the larger picture, turned, and back; rows run against y.
-    middle = np.array([CAMERA.cx + WIDTH // 2, CAMERA.cy + HEIGHT // 2])
-    pixels = before[:, :2] / PIXEL_M * (1, -1) + middle
-    right = (pixels @ turn[:, :2].T + turn[:, 2] - middle) * (1, -1)
-    off = np.linalg.norm(last.positions[:, :2] / PIXEL_M - right, axis=1)
-    assert np.median(off) < 0.5
-    assert (off < 2.0).mean() > 0.9
-
-
 def test_a_print_that_is_covered_twice_comes_back_once(tmp_path):
-    """Recognized in frame 5 and lost again in frame 7, it is looked for in frame 12."""
-    masks = np.ones((14, HEIGHT, WIDTH), bool)
-    masks[[2, 3, 4, *range(7, 12)], :, : WIDTH // 2] = False
-    found = followed(recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 14, masks=masks))
+    """Found again in frame 7 and lost again in frame 8, it is looked for in frame 13."""
+    masks = np.ones((15, HEIGHT, WIDTH), bool)
+    masks[[2, 3, 4, *range(8, 13)], :, : WIDTH // 2] = False
+    found = followed(recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 15, masks=masks))
     assert all((np.diff(one.numbers) > 0).all() for one in found)
-    covered = np.setdiff1d(found[6].numbers, found[7].numbers)
-    # Those that have others beside them; the rest is recognized later.
-    assert np.isin(covered, found[12].numbers).mean() > 0.6
+    covered = np.setdiff1d(found[7].numbers, found[8].numbers)
+    assert np.isin(covered, found[1].numbers).mean() > 0.9
+    # Those that have others beside them.
+    assert np.isin(covered, found[13].numbers).mean() > 0.6
 
 
 def weave(shift_px=(0.0, 0.0)):
@@ -167,8 +139,7 @@ def weave(shift_px=(0.0, 0.0)):
     return 120.0 + 20.0 * (np.cos(across * 2.0 * np.pi / 11) + np.cos(down * 2.0 * np.pi / 11))
 
 
-def test_a_weave_is_followed_and_not_recognized(tmp_path):
-    """What looks alike everywhere comes back under new numbers only."""
+def test_what_was_lost_altogether_comes_back_under_new_numbers(tmp_path):
     masks = np.ones((4, HEIGHT, WIDTH), bool)
     masks[1] = False
     masks[1, :9, :9] = True
@@ -180,7 +151,7 @@ def test_a_weave_is_followed_and_not_recognized(tmp_path):
 
 
 def test_a_weave_that_a_tool_covered_comes_back_under_its_numbers(tmp_path):
-    """It cannot be recognized; where it went, those beside it tell."""
+    """Where it went, those beside it tell."""
     masks = np.ones((7, HEIGHT, WIDTH), bool)
     masks[2:5, :, 40:70] = False
     shifts = [np.array([1.5, 0.5]) * index for index in range(7)]

@@ -73,18 +73,13 @@ class NumberedPoints:
         both = NumberedPoints(*(np.concatenate(pair) for pair in pairs))
         return both[np.argsort(both.numbers)]
 
-    def with_neighbors(
-        self, positions: Float[np.ndarray, "points 3"], among: Bool[np.ndarray, " points"]
-    ) -> "NumberedPoints":
-        """Return the same with the nearest neighbors of each at these positions [m].
-
-        Only the points in `among` count as neighbors.
-        """
-        if not among.any():
+    def with_neighbors(self, positions: Float[np.ndarray, "points 3"]) -> "NumberedPoints":
+        """Return the same with the nearest neighbors of each at these positions [m]."""
+        if not len(self):
             return self
-        apart, place = cKDTree(positions[among]).query(positions, k=NEIGHBORS + 1)
+        apart, place = cKDTree(positions).query(positions, k=NEIGHBORS + 1)
         # Stored by number, because places change when points are lost.
-        beside = np.append(self.numbers[among], NOBODY)[place[:, 1:]]
+        beside = np.append(self.numbers, NOBODY)[place[:, 1:]]
         return replace(self, beside=beside, apart_m=apart[:, 1:])
 
     def near_each_other(
@@ -96,13 +91,6 @@ class NumberedPoints:
         place = np.minimum(np.searchsorted(self.numbers, self.beside), len(self) - 1)
         followed = self.numbers[place] == self.beside
         apart = np.linalg.norm(positions[place] - positions[:, None], axis=2)
-        too_far = followed & too_far_apart(apart, self.apart_m)
+        ratio, slack = _STRETCH
+        too_far = followed & (apart > ratio * self.apart_m + slack)
         return too_far.sum(axis=1) <= 0.5 * followed.sum(axis=1)
-
-
-def too_far_apart(
-    now: Float[np.ndarray, "points neighbors"], before: Float[np.ndarray, "points neighbors"]
-) -> Bool[np.ndarray, "points neighbors"]:
-    """Return whether two points are farther apart [m] than cloth can have stretched."""
-    ratio, slack = _STRETCH
-    return now > ratio * before + slack

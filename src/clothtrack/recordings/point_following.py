@@ -24,7 +24,6 @@ from clothtrack.recordings.optical_flow import (
     moved_with,
 )
 from clothtrack.recordings.point_cloud import FollowedPoints
-from clothtrack.recordings.recognition import KeyPoints, Recognizer
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, bounds_of
 
@@ -250,7 +249,6 @@ class _Follower:
 
     def __init__(self, camera: Camera, numbers: Iterator[int]) -> None:
         self._camera, self._numbers = camera, numbers
-        self._recognizer = Recognizer()
         self._before: _Picture | None = None
         self._points = NumberedPoints.none()
         self._lost: list[_Lost] = []
@@ -266,12 +264,9 @@ class _Follower:
         """
         if self._before is not None:
             self._carry(self._before, picture, frame)
-        unknown = None
-        if choose or ends or frame % _LOOK_AGAIN == 0:
-            unknown = self._recognize(picture)
         self._look_again(picture, None if choose or ends else frame)
         if choose:
-            self._choose(picture, unknown)
+            self._choose(picture)
         self._before = picture
         return FollowedPoints(self._points.numbers.copy(), self._positions(self._points, picture))
 
@@ -289,17 +284,6 @@ class _Follower:
         lost = _Lost(frame, before.even, old, old.numbers, old.pixels).without(self._points)
         self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-_KEPT_PICTURES:]
 
-    def _recognize(self, picture: _Picture) -> KeyPoints | None:
-        """Add lost points of a print that are recognized; return the unknown key points."""
-        if not self._recognizer.sees_print:
-            return None
-        seen = KeyPoints.of(picture.gray, picture.clear)
-        numbers = self._recognizer.recognized(seen, picture.in_world(seen.pixels, self._camera))
-        known = numbers >= 0
-        back = NumberedPoints.fresh(numbers[known], seen.pixels[known])
-        self._points = self._points.together_with(back[~back.are_in(self._points)])
-        return seen[~known]
-
     def _look_again(self, picture: _Picture, frame: int | None) -> None:
         """Add lost points that are seen again beside their former neighbors.
 
@@ -308,34 +292,21 @@ class _Follower:
         due = [one for one in self._lost if frame is None or one.is_due(frame)]
         back = NumberedPoints.none()
         for lost in due:
-            found = lost.without(self._points).found_in(picture, self._points)
-            back = back.together_with(found)
+            back = back.together_with(lost.found_in(picture, self._points))
         if len(back):
             points = self._points.together_with(back)
             near = points.near_each_other(self._positions(points, picture))
             self._points = points[near | ~points.are_in(back)]
-        # Recognized points are removed, too: lost again, they must not be found twice.
         left = [lost.without(self._points) for lost in self._lost]
         self._lost = [lost for lost in left if len(lost.points)]
 
-    def _choose(self, picture: _Picture, unknown: KeyPoints | None) -> None:
-        """Add points; from now on each has to stay near its neighbors in this picture."""
-        points, knows = self._points, self._recognizer.knows
-        if unknown is not None:
-            numbers = self._new_numbers(len(unknown))
-            positions = picture.in_world(unknown.pixels, self._camera)
-            self._recognizer.remember(numbers, unknown, positions)
-            if self._recognizer.sees_print:
-                points = points.together_with(NumberedPoints.fresh(numbers, unknown.pixels))
+    def _choose(self, picture: _Picture) -> None:
+        """Add points; from now on each has to stay near those that are beside it here."""
         noise = picture.noise_since(self._before)
-        fresh = _chosen(picture, noise, points.pixels[~knows(points.numbers)])
-        points = points.together_with(NumberedPoints.fresh(self._new_numbers(len(fresh)), fresh))
-        # Key points are close together; the others show what is around a part of the print.
-        spread = ~knows(points.numbers)
-        self._points = points.with_neighbors(self._positions(points, picture), spread)
-
-    def _new_numbers(self, count: int) -> Int[np.ndarray, " points"]:
-        return np.fromiter(itertools.islice(self._numbers, count), np.int64, count)
+        fresh = _chosen(picture, noise, self._points.pixels)
+        numbers = np.fromiter(itertools.islice(self._numbers, len(fresh)), np.int64, len(fresh))
+        points = self._points.together_with(NumberedPoints.fresh(numbers, fresh))
+        self._points = points.with_neighbors(self._positions(points, picture))
 
 
 def _chosen(
