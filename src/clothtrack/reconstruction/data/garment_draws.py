@@ -1,10 +1,11 @@
 """Random draws of garments: size, cut and cloth."""
 
 from dataclasses import dataclass
-from typing import get_args
+from typing import Annotated, get_args
 
 import numpy as np
 
+from clothtrack.files.bounds import Checked, Interval, Share
 from clothtrack.garments.garment_meshes import ClothKind, garment, shirt, trousers
 from clothtrack.garments.outlines import (
     draw_robe,
@@ -22,9 +23,11 @@ the square of the edge length."""
 
 KINDS: tuple[str, ...] = get_args(ClothKind)
 
+_Lengths = Annotated[tuple[float, float], Interval(least=0, empty=True)]
+
 
 @dataclass(frozen=True)
-class GarmentRanges:
+class GarmentRanges(Checked):
     """Sizes and cuts of garments, as bounds of a uniform draw.
 
     Attributes:
@@ -41,21 +44,21 @@ class GarmentRanges:
         shorts: share of trousers with short legs.
     """
 
-    towel_side_m: tuple[float, float] = (0.2, 2.0)
-    towel_aspect: tuple[float, float] = (0.5, 1.0)
-    square: float = 0.3
-    shirt_length_m: tuple[float, float] = (0.3, 0.85)
-    long_sleeves: float = 0.35
-    sweaters: float = 0.22
-    robes: float = 0.1
-    hoods: float = 0.4
-    robe_length_m: tuple[float, float] = (0.75, 1.35)
-    open_shirts: float = 0.12
-    open_sweaters: float = 0.35
-    open_robes: float = 0.8
-    trousers_length_m: tuple[float, float] = (0.4, 1.15)
-    shorts_length_m: tuple[float, float] = (0.25, 0.6)
-    shorts: float = 0.35
+    towel_side_m: _Lengths = (0.2, 2.0)
+    towel_aspect: Annotated[tuple[float, float], Interval(least=0, most=1, empty=True)] = (0.5, 1.0)
+    square: Share = 0.3
+    shirt_length_m: _Lengths = (0.3, 0.85)
+    long_sleeves: Share = 0.35
+    sweaters: Share = 0.22
+    robes: Share = 0.1
+    hoods: Share = 0.4
+    robe_length_m: _Lengths = (0.75, 1.35)
+    open_shirts: Share = 0.12
+    open_sweaters: Share = 0.35
+    open_robes: Share = 0.8
+    trousers_length_m: _Lengths = (0.4, 1.15)
+    shorts_length_m: _Lengths = (0.25, 0.6)
+    shorts: Share = 0.35
 
 
 @dataclass(frozen=True)
