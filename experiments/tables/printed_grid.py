@@ -3,8 +3,8 @@
 The paper prints stiffness 0.2 to 1.6 in 5 steps and both frictions 0.5 to 5 in 6 steps each: 180
 combinations for every action, each rolled out and compared with the last cloud. Its stiffness is
 the simulator's own number without a unit; here a stiffness s is a bend compliance of 1 / s. All the
-time goes into roll-outs, whose cost on a CPU does not fall with the width of a batch: about a
-second each at 1,000 vertices, ten minutes for three actions.
+time goes into roll-outs, whose cost on a CPU does not fall with the width of a batch: 7 to 60
+minutes for three actions at 1,500 vertices.
 
     python experiments printed_grid --bench OUT --split dev --limit 6
 
