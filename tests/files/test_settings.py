@@ -118,12 +118,12 @@ def test_a_refusal_does_not_list_a_whole_group():
 
 def test_a_limit_is_told_of_the_setting_as_it_was_written():
     @dataclass(frozen=True)
-    class PartConfig(Checked):
+    class PieceRanges(Checked):
         size_m: Positive = 1.0
 
     @dataclass(frozen=True)
     class WholeConfig:
-        part: PartConfig = field(default_factory=PartConfig)
+        part: PieceRanges = field(default_factory=PieceRanges)
 
     @dataclass(frozen=True)
     class Settings:

@@ -93,9 +93,10 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
                 ) from None
             raise InvalidConfigError(str(unknown)) from None
         except InvalidConfigError as error:
-            # A group knows its own name, but not that of its parent.
+            # A group knows its class and the field, but not where it is among the settings.
             said, _, rest = str(error).partition(" is ")
-            if not name.strip().endswith(f".{said}"):
+            group, _, field = name.strip().rpartition(".")
+            if not group or said.rpartition(".")[2] != field:
                 raise
             raise InvalidConfigError(f"{name.strip()} is {rest}") from None
     return config
