@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.cuts import KnownGarment, cuts, finer
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.explanation import Explainer, Explanation
@@ -149,16 +148,13 @@ class Search:
         first = min(scanned, key=_score)
         return self._descended(first, kind).garment
 
-    def best(self, kind: str, template: ClothMesh | None, *, vertex_count: int = 1000) -> Try:
-        """Return the best try of a garment, whether its size is known or not.
+    def best(self, kind: str, *, vertex_count: int = 1000) -> Try:
+        """Return the best try of a garment of unknown size.
 
         Args:
             kind: "towel", "tshirt" or "trousers".
-            template: the flat garment; None when it is not known.
-            vertex_count: approximate vertex count of the mesh that is made when it is not known.
+            vertex_count: approximate vertex count of the mesh.
         """
-        if template is not None:
-            return self.known(KnownGarment.of(template, device=self._device))
         return self.known(finer(self.unknown(kind), kind, vertex_count))
 
     def tried(

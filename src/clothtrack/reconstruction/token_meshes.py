@@ -77,7 +77,7 @@ class TokenMeshes:
         elif size_m is not None:
             best = search.known(sized(kind, size_m, vertex_count, device=device))
         else:
-            best = search.best(kind, None, vertex_count=vertex_count)
+            best = search.best(kind, vertex_count=vertex_count)
         rest, answer, vertices, untangling = best.garment.mesh, best.answer, best.vertices, None
         finish = partial(
             finished, best.garment.fit, answer.guide, search.cloth, table=picture.table,
