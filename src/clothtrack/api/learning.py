@@ -153,7 +153,7 @@ def pretrain(
     The same command resumes an interrupted training, bit for bit. The token network trains for as
     long as it is given time; folders of states may be added when it resumes. Its learning rate
     falls once, at the end: --set tokens.fall_examples=100000. Several processes or GPUs:
-    torchrun --nproc-per-node N --module clothtrack.cli pretrain ... --device cuda
+    torchrun --nproc-per-node N --module -- clothtrack.cli pretrain ... --device cuda
 
     Args:
         states: folders of states; of one kind of garment for a published network.
