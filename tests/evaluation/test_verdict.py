@@ -111,7 +111,7 @@ def test_a_verdict_is_the_same_after_json():
         assert str(again) == str(found)
 
 
-def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9):
+def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, turns=0.01):
     """The verdict of a mesh whose longer side is 0.4 m."""
     mesh = garment("towel", vertex_count=60, size_m=(0.4, 0.2))
     sure = np.full((2, 2), confidence, np.float32)
@@ -119,13 +119,16 @@ def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9):
     camera = Camera("top", 2, 2, 2.0, 2.0, 0.5, 0.5, np.eye(4))
     image = np.zeros((2, 2, 3), np.float32)
     made = Reconstruction(mesh, "template", camera, image, sure, nothing)
-    result = NetworkMesh(mesh, made, expected_error_m=share and 0.4 * share)
+    result = NetworkMesh(
+        mesh, made, expected_error_m=share and 0.4 * share, spread_over_turns=turns
+    )
     return picture_verdict(result, Agreement(iou, chamfer_m2))
 
 
 MEASURES = {
     "silhouette": ("iou", lambda value: 1.0 - value),
-    "visible surface": ("chamfer_m2", lambda value: 2.0 * value**2),
+    "visible surface over side": ("chamfer_m2", lambda value: 2.0 * (0.4 * value) ** 2),
+    "spread over turns": ("turns", lambda value: value),
     "expected error over side": ("share", lambda value: value),
     "unsure correspondences": ("confidence", lambda value: 1.0 - value),
 }
@@ -158,7 +161,7 @@ def test_every_measure_of_a_picture_decides_and_names_the_limit_that_it_broke(na
 def test_a_mesh_that_nobody_can_see_or_vouch_for_is_not_trusted():
     found = picture(chamfer_m2=None)
     assert str(found).startswith("reject: no part of the mesh is visible in the picture")
-    unknown = picture(share=None)
+    unknown = picture(share=None, turns=None)
     assert str(unknown) == "look: the network does not say how far off it may be"
     again = Verdict.from_dict(json.loads(json.dumps(unknown.as_dict(), allow_nan=False)))
     assert str(again) == str(unknown)

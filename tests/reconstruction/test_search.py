@@ -1,5 +1,7 @@
 """The search at test time: when it stops, which size it finds, and that a turn changes nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import seen_above as above
@@ -65,10 +67,10 @@ def scored(untrained, picture, answer):
 
 
 @pytest.mark.parametrize("enough_at", range(len(TURNS_DEG)))
-def test_turns_are_tried_until_one_is_enough(scored, flat, enough_at):
+def test_turns_are_tried_until_one_is_enough_and_two_at_least(scored, flat, enough_at):
     search = scored(lambda _, turn_deg: (0.9 if turn_deg == TURNS_DEG[enough_at] else 1.1) * ENOUGH)
     best = search.known(KnownGarment.of(flat))
-    assert [one.choice.turn_deg for one in search.tries] == list(TURNS_DEG[: enough_at + 1])
+    assert [one.choice.turn_deg for one in search.tries] == list(TURNS_DEG[: max(enough_at + 1, 2)])
     assert best.choice.turn_deg == TURNS_DEG[enough_at]
 
 
@@ -78,6 +80,22 @@ def test_where_none_is_enough_the_best_of_all_turns_is_taken(scored, flat):
     assert search.known(KnownGarment.of(flat)).score == pytest.approx(0.4)
     ranked = [one.turn_deg for one in search.choices]
     assert ranked == sorted(scores, key=scores.get)
+
+
+def test_the_spread_over_turns_is_the_distance_of_the_farther_answer_up_to_symmetry(scored, flat):
+    search = scored(lambda *_: 0.5 * ENOUGH)
+    garment = KnownGarment.of(flat)
+    search.known(garment)
+    vertices = np.asarray(flat.vertices, float)
+    assert search.spread_over_turns(garment, vertices) == pytest.approx(0.0, abs=1e-6)
+    # The same rectangle, named the other way round.
+    center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    half_turned = (vertices - center) * (-1.0, -1.0, 1.0) + center
+    assert search.spread_over_turns(garment, half_turned) < 0.01
+    beside = vertices + (0.0, 0.0, 0.1)
+    assert search.spread_over_turns(garment, beside) == pytest.approx(0.1 / max(SIZE_M), rel=1e-3)
+    search.tries[1] = replace(search.tries[1], vertices=vertices + (0.2, 0.0, 0.0))
+    assert search.spread_over_turns(garment, vertices) == pytest.approx(0.2 / max(SIZE_M), rel=0.2)
 
 
 def test_of_a_garment_and_a_turn_only_the_best_is_reported(scored, flat):

@@ -68,8 +68,10 @@ LIMITS: Mapping[str, Limit] = {
     # For the mesh of one picture; chosen on simulated states of seed 77 (docs/results.md).
     # 1 - intersection over union.
     "silhouette": Limit("", 0.10, 0.25, f"{_OTHER_GARMENT}, or the cloth's --mask", named=True),
-    "visible surface": Limit("m", 0.012, 0.025, _OTHER_GARMENT, named=True),
-    # Relative to the longer side, because the network learned from garments of all sizes.
+    # These three are relative to the longer side, because the network learned from garments of all
+    # sizes.
+    "visible surface over side": Limit("", 0.025, 0.05, _OTHER_GARMENT, named=True),
+    "spread over turns": Limit("", 0.03, 0.1, _OTHER_PICTURE, named=True),
     "expected error over side": Limit("", 0.06, 0.1, _OTHER_PICTURE, named=True),
     # 1 - mean confidence of the correspondences; without it 4 of 35 trusted states are wrong.
     "unsure correspondences": Limit("", 0.45, remedy=_OTHER_PICTURE, named=True),
@@ -77,7 +79,7 @@ LIMITS: Mapping[str, Limit] = {
 """Evidence from tracking and reconstruction. Contradictions within a recording are evidence, too
 (`recordings.geometry_checks`), and each such finding is above its limit."""
 
-_UNSEEN = {"visible surface": "no part of the mesh is visible in the picture"}
+_UNSEEN = {"visible surface over side": "no part of the mesh is visible in the picture"}
 """Meaning of a NaN measure, where it differs from the default."""
 
 
@@ -269,15 +271,15 @@ def picture_verdict(result: NetworkMesh, agreement: Agreement) -> Verdict:
     assert mesh is not None
     flat = np.asarray(mesh.vertices if mesh.canonical is None else mesh.canonical)
     expected_m = math.nan if expected_error_m is None else expected_error_m
-    share = expected_m / float(np.ptp(flat[:, :2], axis=0).max())
-    apart, surface_m = 1.0 - agreement.iou, agreement.surface_m
+    side_m = float(np.ptp(flat[:, :2], axis=0).max())
+    apart, share = 1.0 - agreement.iou, expected_m / side_m
     unsure = 1.0 - result.reconstruction.mean_confidence
     evidence = [
         _measured("silhouette", apart, f"the silhouettes differ by {100 * apart:.0f} %"),
         _measured(
-            "visible surface",
-            surface_m,
-            f"the visible surface is {1e3 * surface_m:.0f} mm from the cloud",
+            "visible surface over side",
+            agreement.surface_m / side_m,
+            f"the visible surface is {1e3 * agreement.surface_m:.0f} mm from the cloud",
         ),
         _measured(
             "expected error over side",
@@ -293,6 +295,9 @@ def picture_verdict(result: NetworkMesh, agreement: Agreement) -> Verdict:
     if expected_error_m is None:
         text = "the network does not say how far off it may be"
         evidence[2] = replace(evidence[2], word="look", text=text)
+    if (turns := result.spread_over_turns) is not None:
+        text = f"answers in other turns of the picture lie {100 * turns:.1f} % of the side away"
+        evidence.append(_measured("spread over turns", turns, text))
     return _verdict(evidence, expected_m)
 
 

@@ -111,6 +111,8 @@ class NetworkMesh:
         expected_error_m: mean distance of the vertices from their true positions that the network
             predicts [m]; None if the network predicts none.
         spread_m: the same for each vertex [m].
+        spread_over_turns: mean distance of the mesh from the answers in other turns of the picture,
+            over the longer side (`search.Search.spread_over_turns`); None for other networks.
         untangling: removal of self-intersections, with the crossings of the network's answer and at
             the end; None if it was not requested, or the flat garment is not known.
         choices: garments and turns of the picture that the token network was queried with, best
@@ -126,6 +128,7 @@ class NetworkMesh:
     scale: float = 1.0
     expected_error_m: float | None = None
     spread_m: Float[np.ndarray, " vertices"] | None = None
+    spread_over_turns: float | None = None
     untangling: Untangling | None = None
     choices: "tuple[Choice, ...]" = ()
     opposite: Callable[[], Float[np.ndarray, "vertices 3"]] | None = None
@@ -196,6 +199,7 @@ def figures_of(
         "silhouette_iou": agreement.iou,
         "visible_chamfer_m2": agreement.chamfer_m2,
         "expected_error_m": result.expected_error_m,
+        "spread_over_turns": result.spread_over_turns,
         "garment": _named(result.choices[:1]),
         "runners_up": _named(result.choices[1 : 1 + _RUNNERS_UP]),
     }

@@ -103,6 +103,7 @@ class TokenMeshes:
             ),
             expected_error_m=float(np.mean(spread_m)),
             spread_m=spread_m,
+            spread_over_turns=search.spread_over_turns(best.garment, vertices),
             untangling=untangling,
             opposite=(lambda: finish(opposite=True).positions) if refined else None,
             choices=(best.choice, *(one for one in search.choices if one is not best.choice)),
