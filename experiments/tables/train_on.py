@@ -36,7 +36,7 @@ from shared.figures import plot_style, say, write_json
 
 from clothtrack import __version__
 from clothtrack.cli.terminal import progress
-from clothtrack.errors import ClothTrackError
+from clothtrack.errors import ClothTrackError, InvalidResultError
 from clothtrack.files import content_hash, with_settings
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import quiet_warp
@@ -95,6 +95,8 @@ def trained(options: argparse.Namespace, states: Sequence[StateSet]) -> Path:
 
 def judged(options: argparse.Namespace, weights: Path, config: StatesConfig) -> dict[str, Any]:
     """Return one row: what the weights have seen, and how wrong they are."""
+    if not weights.is_file():
+        raise InvalidResultError(f"{weights}: there is no such file; train a round first")
     held = [one for one in read_scalars(options.output / "run") if one["split"] == "held_out"][-1]
     row: dict[str, Any] = {
         "seed": options.seed, "weights_sha256": content_hash(weights), "commit": commit(),

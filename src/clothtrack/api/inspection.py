@@ -33,14 +33,22 @@ def inspect_many(
         progress: called with how much is done.
 
     Raises:
-        InvalidConfigError: `suggest` is given for anything but one recording.
+        InvalidConfigError: `suggest` is given for anything but one recording, or an artifact is a
+            folder of results.
     """
     from clothtrack.api.verification import verify
     from clothtrack.files.progress import one_of
     from clothtrack.recordings.inspection import inspect
+    from clothtrack.recordings.violation import DOCUMENT
 
     if suggest is not None and not (len(artifacts) == 1 and _is_recording(Path(artifacts[0]))):
         raise InvalidConfigError("--suggest corrects one recording; name one alone")
+    for folder in map(Path, artifacts):
+        held = next((one for one in ("*.zarr", "*.npz") if any(folder.glob(one))), None)
+        if held and not (folder / DOCUMENT).exists():
+            raise InvalidConfigError(
+                f"{folder}: is a folder of results; name them: {folder}/{held}"
+            )
     found = []
     for done, artifact in enumerate(map(Path, artifacts)):
         if _is_recording(artifact):

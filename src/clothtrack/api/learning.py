@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from clothtrack.reconstruction.depth_input import DepthInput
     from clothtrack.reconstruction.learning_outcome import LearningOutcome
 
+_SIDES_M = (0.05, 5.0)
+"""Sides of a garment that the network is queried with [m]; larger ones are in other units."""
+
 TERMINATED = 143
 """Exit code of a training that was interrupted, as shells number SIGTERM."""
 
@@ -223,8 +226,9 @@ def finetune(
         for file in (sorted(path.glob("*.labels.npz")) if path.is_dir() else [path])
     ]
     if not files:
+        named = ", ".join(map(str, labels)) or "no folder given"
         raise InvalidConfigError(
-            "no labels given; make some with: clothtrack label TRACKED... --output FOLDER"
+            f"{named}: no *.labels.npz; make some with: clothtrack label TRACKED... --output FOLDER"
         )
     start = load_weights(Path(weights))
     design = design_of(start)
@@ -268,8 +272,8 @@ def reconstruct(
         picture: a 16-bit depth PNG of a camera that looks down on a table, or a recording; in
             Python also the depth [m] itself, 0 where nothing was measured.
         garment: kind of garment; required for a PNG unless a template gives it.
-        output: mesh file to write: .obj, .ply or .stl [m], table at z = 0 for a PNG. The command
-            line writes out/NAME.obj by default, Python nothing.
+        output: mesh file to write: .obj, .ply, .stl or .glb [m], table at z = 0 for a PNG. The
+            command line writes out/NAME.obj by default, Python nothing.
         size_m: width and length of the flat garment [m]; several are tried if it is not given. For
             trousers it also tells whether they are short.
         template: the flat garment itself, instead of a size.
@@ -344,12 +348,13 @@ def _reconstructed(
 
     quiet_warp()
     require_torch_device(device)
+    if size_m is not None and not all(_SIDES_M[0] <= side <= _SIDES_M[1] for side in size_m):
+        raise InvalidConfigError(
+            f"the size is {size_m[0]:g} x {size_m[1]:g} m; give width and length in meters, "
+            f"{_SIDES_M[0]:g} to {_SIDES_M[1]:g}"
+        )
     named = str(picture) if isinstance(picture, Path | str) else "the depth array"
     shown = _depth_input(picture, named, frame, of_picture)
-    if size_m is not None and not all(0.0 < side < float("inf") for side in size_m):
-        raise InvalidConfigError(
-            f"the size is {size_m[0]:g} x {size_m[1]:g} m; give width and length in meters, above 0"
-        )
     if size_m is not None and template is not None:
         raise InvalidConfigError("a template has its size; give either a size or a template")
     flat = read_template(Path(template)) if isinstance(template, str | Path) else template

@@ -50,6 +50,7 @@ class Limit:
 
 
 _OTHER_GARMENT = "give the garment's --size or --template"
+_OTHER_MASK = f"{_OTHER_GARMENT}, or the cloth's --mask"
 _OTHER_PICTURE = "spread the cloth a little, and take another picture"
 
 LIMITS: Mapping[str, Limit] = {
@@ -67,10 +68,10 @@ LIMITS: Mapping[str, Limit] = {
     "pickers that hold nothing": Limit("", 0.0, remedy="clothtrack inspect RECORDING"),
     # For the mesh of one picture; chosen on simulated states of seed 77 (docs/results.md).
     # 1 - intersection over union.
-    "silhouette": Limit("", 0.10, 0.25, f"{_OTHER_GARMENT}, or the cloth's --mask", named=True),
+    "silhouette": Limit("", 0.10, 0.25, _OTHER_MASK, named=True),
     # These three are relative to the longer side, because the network learned from garments of all
     # sizes.
-    "visible surface over side": Limit("", 0.025, 0.05, _OTHER_GARMENT, named=True),
+    "visible surface over side": Limit("", 0.025, 0.05, _OTHER_MASK, named=True),
     "spread over turns": Limit("", 0.03, 0.1, _OTHER_PICTURE, named=True),
     "expected error over side": Limit("", 0.06, 0.1, _OTHER_PICTURE, named=True),
     # 1 - mean confidence of the correspondences; without it 4 of 35 trusted states are wrong.

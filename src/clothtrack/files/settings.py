@@ -135,6 +135,8 @@ def _replaced(owner: Any, path: list[str], value: Any, name: str) -> Any:
         known = [str(key) for key in owner]
     elif is_dataclass(owner):
         known = [field.name for field in fields(owner)]
+    elif owner is None:
+        raise InvalidConfigError(f"{name} cannot be set here; leave it out")
     else:
         raise InvalidConfigError(f"{name}: there is nothing below {type(owner).__name__}")
     head, *rest = path

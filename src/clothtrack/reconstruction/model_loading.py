@@ -46,9 +46,9 @@ def design_of(weights: Weights) -> Design:
         if design.recognizes(weights):
             return _installed(design)
     raise InvalidResultError(
-        f"{weights.path}: no installed package knows its network (for {weights.kind!r:.80}); the "
-        "published networks are in clothtrack_lab: install clothtrack again, or give weights of "
-        "the token network"
+        f"{weights.path}: no installed package knows its network (for {weights.kind!r:.80}); give "
+        "weights of the token network or of a published one, which is in clothtrack_lab (weights "
+        "of learned dynamics are given as --dynamics-weights)"
     )
 
 

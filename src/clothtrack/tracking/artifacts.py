@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clothtrack.errors import InvalidResultError
+from clothtrack.errors import InvalidRecordingError, InvalidResultError
 
 if TYPE_CHECKING:
     from clothtrack.recordings.recording import Recording
@@ -36,10 +36,18 @@ def warn_of_age(
         recording: the recording that is assumed to belong to it.
         artifact: path of the tracked trajectory, for the message.
         folder: path of the recording, for the message.
+
+    Raises:
+        InvalidRecordingError: it is another recording, of another name.
     """
     from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 
     if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
+        if recording.name != tracked.name:
+            raise InvalidRecordingError(
+                f"{folder}: is recording {recording.name}, and {artifact} was tracked from "
+                f"{tracked.name}; give that one"
+            )
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "
             "track it again",

@@ -84,6 +84,10 @@ def _flattening_config(
 
     for path in (weights, dynamics_weights):
         require_file(path, "weights")
+    if dynamics_weights is not None and dynamics != "mesh":
+        raise InvalidConfigError(
+            "--dynamics-weights are of the learned dynamics; add --dynamics mesh, or leave them out"
+        )
     if dynamics == "mesh" or (policy == "planned" and perception != "truth"):
         require_learning()
     seen = PerceptionConfig(

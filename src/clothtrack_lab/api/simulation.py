@@ -79,6 +79,8 @@ def simulate(
         InvalidConfigError: the options contradict each other, or a setting is unknown.
     """
     output = Path(output)
+    if seed < 0:
+        raise InvalidConfigError(f"the seed is {seed}; it must be at least 0")
     given = {
         "garment_seed": garment_seed, "template": template, "trajectories": trajectories,
         "actions": actions, "small": small or None, "states": states,
@@ -91,7 +93,8 @@ def simulate(
             progress=progress,
         )  # fmt: skip
     if benchmark is not None:
-        _refuse(given, ("benchmark", "print"), "the benchmark is always the same")
+        other = {"garment": garment if garment != "towel" else None, "seed": seed or None}
+        _refuse(given | other, ("benchmark", "print"), "the benchmark is always the same")
         return _benchmark(
             output, benchmark, printed=printed, workers=workers, ray=ray, progress=progress
         )

@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float32
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.bounds import Checked, Count
+from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.many_items import attempts, results_of
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
@@ -110,7 +110,7 @@ class StatesConfig(Checked):
         cloth: materials of garments.
     """
 
-    vertex_count: Count = 1000
+    vertex_count: Annotated[int, Bounds(least=50)] = 1000
     episodes: Count = 5
     shift_m: float = 0.03
     crossings_limit: float = 0.03

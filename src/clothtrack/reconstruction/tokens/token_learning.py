@@ -1,7 +1,7 @@
 """One training of the token network: start weights, training, and the written model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -118,9 +118,13 @@ def grown(weights: Weights, network: TokenNetworkConfig) -> Weights:
     old = require_tokens(weights)
     free = {"layers": network.layers, "hypotheses": network.hypotheses}
     if replace(old, **free) != network or old.layers > network.layers:
+        other = ", ".join(
+            f"network.{one.name} is {getattr(network, one.name)}, there {getattr(old, one.name)}"
+            for one in fields(network) if getattr(network, one.name) != getattr(old, one.name)
+        )  # fmt: skip
         raise InvalidResultError(
-            f"{weights.path}: its sizes are {old}, wanted are {network}; a start may have fewer "
-            "layers and other hypotheses, and all else must be equal"
+            f"{weights.path}: {other}; a start may have fewer layers and other hypotheses, and all "
+            "else must be equal"
         )
     tensors = dict(weights.tensors)
     model = TokenNetwork(network)

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.reconstruction.tokens.garment_tokens import FEATURES, TOKENS
 
@@ -57,6 +58,21 @@ class TokenNetworkConfig(Checked):
     field_of_view_deg: float = 45.0
     view_margin: float = 0.05
     least_view_m: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Reject sizes that do not divide.
+
+        Raises:
+            InvalidConfigError: a field is out of bounds; states the field, its value and the limit.
+        """
+        super().__post_init__()
+        for name, value, part in (
+            ("width", self.width, self.heads), ("image_size", self.image_size, _CELL)
+        ):  # fmt: skip
+            if value % part:
+                raise InvalidConfigError(
+                    f"network.{name} is {value}; it must be a multiple of {part}"
+                )
 
     @property
     def output_stride(self) -> int:

@@ -59,6 +59,8 @@ def pretrain_tokens(
         StorageError: a file cannot be written.
     """
     loop, network = config.tokens, config.network or TokenNetworkConfig()
+    if hours is not None and not hours > 0.0:
+        raise InvalidConfigError(f"the hours are {hours:g}; give a number above 0")
     if loop.decay == "stable" and hours is None and not loop.fall_examples:
         raise InvalidConfigError(
             "the token network learns for as long as it is given time; add --hours N, or --set "

@@ -18,10 +18,10 @@ class TrainingConfig(Checked):
         low_rate: learning rate of Adam, or the lowest of its schedule.
         high_rate: highest learning rate of the schedule; if equal to `low_rate`, it is constant.
         rise_epochs: epochs over which the rate rises from the lowest to the highest.
-        decay: schedule after the rise: "triangle" falls and rises again (L. N. Smith, 2017);
-            "cosine" falls once over all remaining epochs (I. Loshchilov, F. Hutter, 2017);
-            "stable" stays constant for as long as the run is given time and falls once at the end
-            (S. Hu et al., arXiv 2404.06395, Sec. 4).
+        decay: schedule after the rise: "triangle", "cosine" or "stable". "triangle" falls and rises
+            again (L. N. Smith, 2017); "cosine" falls once over all remaining epochs (I. Loshchilov,
+            F. Hutter, 2017); "stable" stays constant for as long as the run is given time and falls
+            once at the end (S. Hu et al., arXiv 2404.06395, Sec. 4).
         rise_examples: "stable": examples over which the rate rises. This is long enough for the
             moments of Adam, which are zero when a run starts from weights alone.
         fall_examples: "stable": if above 0, the rate falls to the lowest over this many examples,
