@@ -75,7 +75,7 @@ class ClothViews:
         if not (0 <= click.column < width and 0 <= click.row < height):
             raise InvalidConfigError(
                 f"the click ({click.column}, {click.row}) is outside the picture of "
-                f"{width} x {height} pixels"
+                f"{width} x {height} pixels; give column and row, counted from 0"
             )
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:

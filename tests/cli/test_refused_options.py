@@ -17,6 +17,10 @@ REFUSED = {
     "finetune WEIGHTS EMPTY --output OUT": "EMPTY: no *.labels.npz",
     "finetune WEIGHTS LABELS --output OUT --set network.layers=6": "cannot be set here",
     "reconstruct x.png --garment towel --size 40 40": "40 x 40 m; give width and length in meters",
+    "reconstruct x.png --garment towel": "x.png: there is no such picture file; check the name",
+    "garment x.png --kind towel --output t.npz": "x.png: there is no such picture file",
+    "garment x.png --kind towel --output t.npz --vertices 3": "--vertices is 3; it must be",
+    "evaluate RUNS --recordings EMPTY": "name those in it: RUNS/*.zarr",
     "inspect LABELS": "name them: LABELS/*.npz",
     "flatten OUT --dynamics-weights WEIGHTS": "add --dynamics mesh",
 }
@@ -28,8 +32,8 @@ def folder(tmp_path_factory):
     small = ("vertex_count=60", "episodes=1", "crumpling.states=2", "crumpling.rest_limit_s=0.1")
     settings = [part for one in small for part in ("--set", one)]
     assert cli.main(["simulate", str(inside / "STATES"), "--states", "4", *settings]) == 0
-    for name in ("EMPTY", "LABELS"):
-        (inside / name).mkdir()
+    for name in ("EMPTY", "LABELS", "RUNS/one.zarr"):
+        (inside / name).mkdir(parents=True)
     (inside / "LABELS" / "one.labels.npz").write_bytes(b"")
     (inside / "WEIGHTS").symlink_to(shipped_weights())
     return inside

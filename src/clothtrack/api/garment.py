@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from clothtrack.api.options import DepthUnit
+from clothtrack.api.options import DepthUnit, require_file
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from clothtrack.geometry.mesh import ClothMesh
 
 Kind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
+LEAST_VERTICES = 50
+"""Smallest number of vertices of a template."""
+
 _PLACE = re.compile(r"(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)")
 
 
@@ -138,6 +141,13 @@ def garment_template(
 
     picture, output = Path(picture), Path(output)
     places = _places(openings)
+    if vertex_count < LEAST_VERTICES:
+        raise InvalidConfigError(
+            f"--vertices is {vertex_count}; it must be at least {LEAST_VERTICES}"
+        )
+    if not picture.is_dir():
+        require_file(picture, "picture")
+    require_file(mask, "mask")
     require_template_format(output)
     options = _named(mask=mask and Path(mask), depth_unit_m=depth_unit_m, focal=focal)
     if picture.is_dir():

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from tyro.conf import arg
 
 from clothtrack.api.learning_extra import require_learning
-from clothtrack.api.options import DepthUnit, Garment, Settings, TableDistance, configured_by
+from clothtrack.api.options import (
+    DepthUnit,
+    Garment,
+    Settings,
+    TableDistance,
+    configured_by,
+    require_file,
+)
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 
 if TYPE_CHECKING:
@@ -389,7 +396,9 @@ def _depth_input(
         _refuse(options, f"{named} is a recording, which says itself")
         return depth_input.from_recording(Path(picture), frame or 0)
     _refuse({} if frame is None else {"frame": frame}, f"{named} is not a recording")
+    require_file(options.get("mask"), "mask")
     if isinstance(picture, Path | str):
+        require_file(picture, "picture")
         return depth_input.from_picture(Path(picture), **options)
     return depth_input.from_depth(picture, named, **options)
 

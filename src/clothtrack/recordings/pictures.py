@@ -276,5 +276,5 @@ def _decode(path: Path, data: bytes, flags: int) -> np.ndarray:
 
 
 def _unreadable(path: Path, error: OSError) -> InvalidRecordingError:
-    why = why_unreadable(error, "check its name; a recording lists its files")
+    why = why_unreadable(error, "add the file or drop it from the recording")
     return InvalidRecordingError(f"{path}: {why}")

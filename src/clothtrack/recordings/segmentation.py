@@ -145,7 +145,8 @@ class ColorSegmenter:
         height, width = color.shape[:2]
         if not (0 <= column < width and 0 <= row < height):
             raise InvalidConfigError(
-                f"the click ({column}, {row}) is outside the picture of {width} x {height} pixels"
+                f"the click ({column}, {row}) is outside the picture of {width} x {height} pixels; "
+                "give column and row, counted from 0"
             )
         soft = cv2.GaussianBlur(color, (0, 0), 3.0)
         lab = cv2.cvtColor(soft, cv2.COLOR_RGB2LAB)

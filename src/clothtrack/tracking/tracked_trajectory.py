@@ -193,10 +193,10 @@ class TrackedTrajectory:
         """
         path = Path(path)
         if not (path / "zarr.json").is_file():
-            raise InvalidResultError(
-                f"{path} is not a tracked trajectory (no zarr.json); "
-                "make one with: clothtrack track RECORDING --output FOLDER"
-            )
+            remedy = "make one with: clothtrack track RECORDING --output FOLDER"
+            if any(path.glob("*.zarr")):
+                remedy = f"name those in it: {path}/*.zarr"
+            raise InvalidResultError(f"{path} is not a tracked trajectory (no zarr.json); {remedy}")
         try:
             return _read(zarr.open_group(path, mode="r", zarr_format=3))
         except (InvalidResultError, InvalidMeshError, *DAMAGE) as error:

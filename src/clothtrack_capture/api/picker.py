@@ -53,7 +53,8 @@ def find_picker(
     clicked = by_hand or bool(pick or place)
     if [bool(tip_color), tip_click is not None, clicked].count(True) != 1:
         raise WrongUsageError(
-            "say what moved the cloth: --by-hand, --tip-color NAME, or --tip-click FRAME COLUMN ROW"
+            "say what moved the cloth, one of: --by-hand, --tip-color NAME, or --tip-click FRAME "
+            "COLUMN ROW"
         )
     if len(pick) != len(place):
         raise WrongUsageError(

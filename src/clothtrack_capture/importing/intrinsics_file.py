@@ -132,7 +132,10 @@ def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
     if not isinstance(coefficients, list) or not all(
         isinstance(value, int | float) for value in coefficients
     ):
-        raise InvalidRecordingError(f"{path}: {place}distortion is not a list of numbers")
+        raise InvalidRecordingError(
+            f"{path}: {place}distortion is {str(coefficients)[:40]!r}; give a list of numbers such "
+            "as [0, 0, 0, 0, 0], or leave it out"
+        )
     model = content.get("model", "brown")
     if model not in ("brown", "fisheye"):
         raise InvalidRecordingError(
