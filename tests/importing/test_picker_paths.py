@@ -86,6 +86,13 @@ def test_finger_joints_need_a_limit(tmp_path):
     )
     report = import_recording(source, tmp_path / "out", limited)
     assert report.actions == [(3, 6)]
+    in_millimeters = replace(limited, gripper_closed_below=10.0)
+    report = import_recording(source, tmp_path / "other", in_millimeters)
+    assert any("closed all the time" in note for note in report.notes)
+    with pytest.raises(InvalidRecordingError, match="is a recording already; use it as it is"):
+        import_recording(tmp_path / "out", tmp_path / "again", limited)
+    with pytest.raises(InvalidRecordingError, match="--tolerance-s is 16 s, at most 1"):
+        import_recording(source, tmp_path / "again", replace(limited, tolerance_s=16.0))
 
 
 def test_a_gripper_on_the_clock_of_another_machine(tmp_path):

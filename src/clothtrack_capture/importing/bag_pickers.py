@@ -127,6 +127,12 @@ def _closed(
             f"{options.gripper_topic} has no time stamps of its own; its times of writing were "
             f"moved by {-gap / 1e9:.3f} s to the clock of the pictures"
         )
+    if options.gripper_closed_below is not None and what.all():
+        told = [grip_of(message) for _, message in walk.grips]
+        notes.append(
+            f"the gripper is closed all the time: its values are {min(told):g} to {max(told):g}, "
+            f"--gripper-closed-below is {options.gripper_closed_below:g}"
+        )
     return what[last], notes
 
 

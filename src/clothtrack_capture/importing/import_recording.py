@@ -21,6 +21,7 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
+from clothtrack.recordings.violation import DOCUMENT
 from clothtrack_capture.importing.bag_walk import is_bag
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import ImportReport, report_of
@@ -52,6 +53,10 @@ def open_source(path: Path, options: ImportOptions) -> Source:
         raise InvalidRecordingError(f"{path}: there is no such file or folder; check the name")
     if not (path.is_dir() or path.is_file()):
         raise InvalidRecordingError(f"{path}: neither a file nor a folder; name a recorded file")
+    if (path / DOCUMENT).is_file():
+        raise InvalidRecordingError(
+            f"{path}: is a recording already; use it as it is: clothtrack inspect {path}"
+        )
     try:
         if path.is_dir():
             if bag_files(path):
