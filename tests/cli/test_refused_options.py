@@ -21,6 +21,7 @@ REFUSED = {
     "garment x.png --kind towel --output t.npz": "x.png: there is no such picture file",
     "garment x.png --kind towel --output t.npz --vertices 3": "--vertices is 3; it must be",
     "evaluate RUNS --recordings EMPTY": "name those in it: RUNS/*.zarr",
+    "reconstruct x.png --garment towl": "choose from towel, trousers, tshirt; clothtrack",
     "inspect LABELS": "name them: LABELS/*.npz",
     "flatten OUT --dynamics-weights WEIGHTS": "add --dynamics mesh",
 }

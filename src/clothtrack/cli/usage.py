@@ -29,6 +29,8 @@ Function = Callable[..., Any]
 _WIDTH = 100
 
 _BOX = re.compile("\x1b\\[[0-9;]*m|[│╭╮╰╯]")
+_CHOICES = re.compile(r"\. Expected one of \(.*\)")
+_CHOICE = re.compile(r"'([^']*)'")
 _REFUSED = re.compile(r"could be instantiated from \[(.*)\]")
 _EXPLAINED = "  Argument helptext:"
 _MARGIN = 2
@@ -150,6 +152,11 @@ def _first_sentence(drawn: str, verb: str) -> str:
     if refused is not None:
         option = rows[rows.index(_EXPLAINED) + 1].strip() if _EXPLAINED in rows else "an option"
         sentence = f"{option} cannot be {refused[1]}"
+    # Tyro lists a set, whose order changes, with the None of an option that was not given.
+    sentence = _CHOICES.sub(
+        lambda found: f"; choose from {', '.join(sorted({*_CHOICE.findall(found[0])} - {'None'}))}",
+        sentence,
+    )
     if len(sentence) > _LONGEST:
         # The box wraps a long value, so that no single word is long.
         sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
