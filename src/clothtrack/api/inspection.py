@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from clothtrack.api.results import Many
 from clothtrack.errors import InvalidConfigError
+from clothtrack.recordings.violation import DOCUMENT
 
 if TYPE_CHECKING:
     from clothtrack.api.verification import Verification
@@ -39,16 +40,12 @@ def inspect_many(
     from clothtrack.api.verification import verify
     from clothtrack.files.progress import one_of
     from clothtrack.recordings.inspection import inspect
-    from clothtrack.recordings.violation import DOCUMENT
 
     if suggest is not None and not (len(artifacts) == 1 and _is_recording(Path(artifacts[0]))):
         raise InvalidConfigError("--suggest corrects one recording; name one alone")
     for folder in map(Path, artifacts):
-        held = next((one for one in ("*.zarr", "*.npz") if any(folder.glob(one))), None)
-        if held and not (folder / DOCUMENT).exists():
-            raise InvalidConfigError(
-                f"{folder}: is a folder of results; name them: {folder}/{held}"
-            )
+        if held := _results_in(folder):
+            raise InvalidConfigError(f"{folder}: is a folder of results; name them: {held}")
     found = []
     for done, artifact in enumerate(map(Path, artifacts)):
         if _is_recording(artifact):
@@ -57,6 +54,17 @@ def inspect_many(
             of_all = one_of(progress, done, len(artifacts))
             found.append(verify(artifact, progress=of_all))
     return Many(tuple(found))
+
+
+def _results_in(folder: Path) -> Path | None:
+    """Return a pattern for the results in a folder that is no artifact itself."""
+    try:
+        if (folder / DOCUMENT).exists():
+            return None
+        return next((folder / one for one in ("*.zarr", "*.npz") if any(folder.glob(one))), None)
+    except OSError:
+        # Its reader reports the error.
+        return None
 
 
 def _is_recording(path: Path) -> bool:
