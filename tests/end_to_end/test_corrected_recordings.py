@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,6 +115,19 @@ def test_a_result_that_is_older_than_its_recording_is_told(
     assert "tracked/towel.zarr is older than its recording " in line
     assert "recordings/towel (" in line
     assert "\n" not in line
+
+
+def test_a_result_is_not_judged_by_another_recording(tracked, monkeypatch, capsys):
+    monkeypatch.chdir(tracked)
+    shutil.copytree("recordings/towel", "recordings/other")
+    document = json.loads(Path("recordings/other/recording.json").read_text())
+    document["cloth"]["grasp_uncertainty_m"] = 0.01
+    Path("recordings/other/recording.json").write_text(json.dumps(document))
+    words = ["tracked/towel.zarr", "--recordings", "recordings/other"]
+    assert cli.main(["label", *words, "--output", "none"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is recording other, and tracked/towel.zarr was tracked from towel" in line
+    assert not list(Path("none").glob("*.npz"))
 
 
 @pytest.mark.parametrize(
