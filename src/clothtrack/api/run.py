@@ -27,7 +27,13 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.artifacts import inside, load_tracked, recording_folder, warn_of_age
+from clothtrack.tracking.artifacts import (
+    inside,
+    load_tracked,
+    recording_folder,
+    require_own,
+    warn_of_age,
+)
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.configuration import mode as settings_of_mode
 from clothtrack.tracking.pipeline import Progress, track_recording
@@ -241,6 +247,7 @@ def load(path: Path | str, recording: Recording | Path | str | None = None) -> R
     else:
         folder = recording_folder(tracked, Path(recording))
         source = read_recording(folder)
+        require_own(tracked, source, artifact=path, folder=folder)
         warn_of_age(tracked, source, artifact=path, folder=folder)
     return Run.of(tracked, source, path)
 

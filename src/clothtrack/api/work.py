@@ -17,7 +17,13 @@ from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.recordings.identity import recording_digest
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.artifacts import inside, load_tracked, recording_folder, warn_of_age
+from clothtrack.tracking.artifacts import (
+    inside,
+    load_tracked,
+    recording_folder,
+    require_own,
+    warn_of_age,
+)
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.version import __version__
 
@@ -57,7 +63,10 @@ class Source:
     def _recording(self, tracked: TrackedTrajectory, path: Path) -> Recording:
         """Return the recording from the given folder, or else the one that `load` finds."""
         if self.recordings is not None:
-            return read_recording(recording_folder(tracked, self.recordings))
+            folder = recording_folder(tracked, self.recordings)
+            recording = read_recording(folder)
+            require_own(tracked, recording, artifact=path, folder=folder)
+            return recording
         return recording_of(load(path))
 
     def tell(self, path: Path, run: Run) -> None:

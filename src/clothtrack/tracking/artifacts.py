@@ -26,6 +26,31 @@ def load_tracked(path: Path) -> "TrackedTrajectory":
     return TrackedTrajectory.load(path)
 
 
+def require_own(
+    tracked: "TrackedTrajectory", recording: "Recording", *, artifact: Path, folder: Path
+) -> None:
+    """Refuse a recording of another name and content than the trajectory was tracked from.
+
+    Args:
+        tracked: the tracked trajectory.
+        recording: the recording that was given for it.
+        artifact: path of the tracked trajectory, for the message.
+        folder: path of the recording, for the message.
+
+    Raises:
+        InvalidRecordingError: it is another one.
+    """
+    from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
+
+    if recording.name == tracked.name:
+        return
+    if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
+        raise InvalidRecordingError(
+            f"{folder}: is recording {recording.name}, and {artifact} was tracked from "
+            f"{tracked.name}; give that one"
+        )
+
+
 def warn_of_age(
     tracked: "TrackedTrajectory", recording: "Recording", *, artifact: Path, folder: Path
 ) -> None:
@@ -36,18 +61,10 @@ def warn_of_age(
         recording: the recording that is assumed to belong to it.
         artifact: path of the tracked trajectory, for the message.
         folder: path of the recording, for the message.
-
-    Raises:
-        InvalidRecordingError: it is another recording, of another name.
     """
     from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 
     if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
-        if recording.name != tracked.name:
-            raise InvalidRecordingError(
-                f"{folder}: is recording {recording.name}, and {artifact} was tracked from "
-                f"{tracked.name}; give that one"
-            )
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "
             "track it again",
