@@ -91,7 +91,7 @@ def test_finger_joints_need_a_limit(tmp_path):
     assert any("closed all the time" in note for note in report.notes)
     with pytest.raises(InvalidRecordingError, match="is a recording already; use it as it is"):
         import_recording(tmp_path / "out", tmp_path / "again", limited)
-    with pytest.raises(InvalidRecordingError, match="--tolerance-s is 16 s, at most 1"):
+    with pytest.raises(InvalidConfigError, match="--tolerance-s is 16 s, at most 1"):
         import_recording(source, tmp_path / "again", replace(limited, tolerance_s=16.0))
 
 

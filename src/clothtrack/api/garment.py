@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from clothtrack.geometry.mesh import ClothMesh
 
 Kind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
-LEAST_VERTICES = 50
+_LEAST_VERTICES = 50
 """Smallest number of vertices of a template."""
 
 _PLACE = re.compile(r"(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)")
@@ -141,9 +141,9 @@ def garment_template(
 
     picture, output = Path(picture), Path(output)
     places = _places(openings)
-    if vertex_count < LEAST_VERTICES:
+    if vertex_count < _LEAST_VERTICES:
         raise InvalidConfigError(
-            f"--vertices is {vertex_count}; it must be at least {LEAST_VERTICES}"
+            f"--vertices is {vertex_count}; it must be at least {_LEAST_VERTICES}"
         )
     if not picture.is_dir():
         require_file(picture, "picture")

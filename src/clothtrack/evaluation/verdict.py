@@ -74,7 +74,7 @@ LIMITS: Mapping[str, Limit] = {
     "visible surface over side": Limit("", 0.025, 0.05, _OTHER_MASK, named=True),
     "spread over turns": Limit("", 0.03, 0.1, _OTHER_PICTURE, named=True),
     "expected error over side": Limit("", 0.06, 0.1, _OTHER_PICTURE, named=True),
-    # 1 - mean confidence of the correspondences; without it 4 of 35 trusted states are wrong.
+    # 1 - mean confidence of the correspondences; without it 4 of 45 trusted states are wrong.
     "unsure correspondences": Limit("", 0.45, remedy=_OTHER_PICTURE, named=True),
 }
 """Evidence from tracking and reconstruction. Contradictions within a recording are evidence, too

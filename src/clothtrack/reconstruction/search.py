@@ -127,7 +127,10 @@ class Search:
         return tuple(one.choice for one in found.values())
 
     def known(self, garment: KnownGarment) -> Try:
-        """Return the best try of a garment of known size, over turns until one is good enough."""
+        """Return the best try of a garment of known size, over turns until one is good enough.
+
+        The first two turns are always tried (`spread_over_turns`).
+        """
         found: list[Try] = []
         for turn_deg in TURNS_DEG:
             found.append(self.tried(garment, turn_deg))

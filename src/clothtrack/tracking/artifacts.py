@@ -40,11 +40,7 @@ def require_own(
     Raises:
         InvalidRecordingError: it is another one.
     """
-    from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-
-    if recording.name == tracked.name:
-        return
-    if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
+    if recording.name != tracked.name and not _is_unchanged(tracked, recording):
         raise InvalidRecordingError(
             f"{folder}: is recording {recording.name}, and {artifact} was tracked from "
             f"{tracked.name}; give that one"
@@ -62,15 +58,21 @@ def warn_of_age(
         artifact: path of the tracked trajectory, for the message.
         folder: path of the recording, for the message.
     """
-    from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-
-    if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
+    if not _is_unchanged(tracked, recording):
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "
             "track it again",
             artifact,
             folder,
         )
+
+
+def _is_unchanged(tracked: "TrackedTrajectory", recording: "Recording") -> bool:
+    """Return whether a recording has the content that the trajectory was tracked from."""
+    from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
+
+    digest = recording_digest(recording)
+    return tracked.provenance.get(DIGEST_FIELD, digest) == digest
 
 
 def recording_folder(tracked: "TrackedTrajectory", path: Path) -> Path:

@@ -35,6 +35,7 @@ from clothtrack_capture.importing.registration import Registration
 from clothtrack_capture.importing.ros_bags import BagSource, bag_files
 from clothtrack_capture.importing.source import Content, Source, Streams
 
+_LARGEST_TOLERANCE_S = 1.0
 _MOST_WORKERS = 4
 
 
@@ -263,6 +264,11 @@ def _check(options: ImportOptions, folder: Path) -> None:
     ):
         if value is not None and not 0 < value < 1e6:
             raise InvalidConfigError(f"{name} is {value}; it must be positive")
+    if (tolerance_s := options.tolerance_s) is not None and tolerance_s > _LARGEST_TOLERANCE_S:
+        raise InvalidConfigError(
+            f"--tolerance-s is {tolerance_s:g} s, at most {_LARGEST_TOLERANCE_S:g}; pictures "
+            "that far apart do not belong together; give seconds"
+        )
     if options.picker_csv and (options.picker_topic or options.picker_frame):
         raise InvalidConfigError(
             "--picker-csv and a topic or frame both tell the picker's path; give one of them"

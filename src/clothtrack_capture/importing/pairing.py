@@ -9,7 +9,6 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack_capture.importing.source import StreamFrame
 
-_LARGEST_TOLERANCE_S = 1.0
 _LONE_TOLERANCE_NS = 20e6
 
 
@@ -124,11 +123,6 @@ def _advice(apart: np.ndarray) -> str:
 
 def _tolerance_ns(times: np.ndarray, asked_s: float | None) -> float:
     if asked_s is not None:
-        if asked_s > _LARGEST_TOLERANCE_S:
-            raise InvalidRecordingError(
-                f"--tolerance-s is {asked_s:g} s, at most {_LARGEST_TOLERANCE_S:g}; pictures "
-                "that far apart do not belong together; give seconds"
-            )
         return asked_s * 1e9
     return float(np.median(np.diff(times))) / 2 if len(times) > 1 else _LONE_TOLERANCE_NS
 
