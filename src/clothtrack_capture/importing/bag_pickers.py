@@ -40,11 +40,7 @@ class BagPaths:
 
 
 def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
-    """Return the requested picker path, or None.
-
-    Raises:
-        InvalidConfigError: the topic or frame does not exist, or the gripper needs a limit.
-    """
+    """Return the requested picker path, or None."""
     if options.picker_topic is None and options.picker_frame is None:
         if options.gripper_topic is not None:
             raise InvalidConfigError(

@@ -30,11 +30,7 @@ def is_bag(path: Path) -> bool:
 
 
 def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
-    """Return the containers of a bag in one or several files, and the name of the format.
-
-    Raises:
-        InvalidRecordingError: one of the files is not a bag.
-    """
+    """Return the containers of a bag in one or several files, and the name of the format."""
     containers: list[Container] = []
     words = ""
     try:
@@ -102,11 +98,7 @@ class Walk:
 def walk(
     containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
 ) -> Walk:
-    """Read every part of a bag once.
-
-    Raises:
-        InvalidRecordingError: a part is truncated or damaged.
-    """
+    """Read every part of a bag once."""
     result = Walk(pose_topic, grip_topic)
     for part, container in enumerate(containers):
         for message in _messages(container):

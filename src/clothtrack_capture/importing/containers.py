@@ -79,19 +79,11 @@ class Container(Protocol):
         ...
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message in file order.
-
-        Raises:
-            TruncatedError: the file is truncated or damaged.
-        """
+        """Yield every message in file order."""
         ...
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """Return the bytes of a message, or only the first `most`.
-
-        Raises:
-            TruncatedError: the bytes are missing.
-        """
+        """Return the bytes of a message, or only the first `most`."""
         ...
 
     def close(self) -> None:
@@ -103,11 +95,7 @@ class BagFile:
     """A file read on demand, with a cache of a few unpacked chunks."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file for reading.
-
-        Raises:
-            InvalidRecordingError: the file cannot be opened.
-        """
+        """Open the file for reading."""
         self.path = path
         try:
             self._file = path.open("rb")
@@ -122,11 +110,7 @@ class BagFile:
         self._file.close()
 
     def read(self, position: int, size: int) -> bytes:
-        """Return exactly `size` bytes from a position of the file.
-
-        Raises:
-            TruncatedError: the file ends too early, or the size exceeds the limit.
-        """
+        """Return exactly `size` bytes from a position of the file."""
         if 0 <= size <= MOST_BYTES and position + size <= self.size:
             data = os.pread(self._file.fileno(), size, position)
             if len(data) == size:
@@ -164,11 +148,7 @@ class ChunkedContainer(ABC):
     """A reader for files of records, some of which are chunks of further records."""
 
     def __init__(self, path: Path, *, begin: int) -> None:
-        """Open the file, whose first record begins at `begin`.
-
-        Raises:
-            InvalidRecordingError: the file cannot be opened.
-        """
+        """Open the file, whose first record begins at `begin`."""
         self.path, self._begin = path, begin
         self._file = BagFile(path)
         self._topics: dict[int, Topic] = {}
@@ -178,19 +158,11 @@ class ChunkedContainer(ABC):
         return list(self._topics.values())
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message in file order.
-
-        Raises:
-            TruncatedError: the file is truncated or damaged.
-        """
+        """Yield every message in file order."""
         yield from self._walk(self._file.read, self._begin, self._file.size, -1)
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """Return the bytes of a message, or only the first `most`.
-
-        Raises:
-            TruncatedError: the bytes are missing.
-        """
+        """Return the bytes of a message, or only the first `most`."""
         size = place.size if most is None else min(most, place.size)
         if place.chunk < 0:
             return self._file.read(place.offset, size)
@@ -263,16 +235,7 @@ def _reader(data: bytes) -> Read:
 
 
 def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
-    """Return the decompressed bytes, at most as many as the limit.
-
-    Args:
-        data: compressed bytes.
-        compression: "zstd", "lz4", "bz2" or empty.
-        size: expected number of bytes, if known.
-
-    Raises:
-        TruncatedError: the data are damaged, larger than the limit or of an unknown kind.
-    """
+    """Return the decompressed bytes, at most as many as the limit."""
     most = MOST_BYTES if size is None else size
     if most > MOST_BYTES:
         raise TruncatedError(f"a chunk of {most} bytes; at most {MOST_BYTES}")

@@ -39,11 +39,7 @@ _HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two paramete
 
 
 def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
-    """Return the rows of a sensor_msgs Image without padding.
-
-    Raises:
-        TruncatedError: the sizes contradict each other.
-    """
+    """Return the rows of a sensor_msgs Image without padding."""
     width, height, step = int(image.width), int(image.height), int(image.step)
     row = width * bytes_per_pixel
     data = np.asarray(image.data, dtype=np.uint8)
@@ -53,13 +49,7 @@ def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height byt
 
 
 def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
-    """Return the depth of a sensor_msgs Image in whole units.
-
-    Depth is 0 where it is missing or out of range.
-
-    Raises:
-        TruncatedError: the image is not a depth picture.
-    """
+    """Return the depth of a sensor_msgs Image in whole units."""
     encoding = str(image.encoding).lower()
     if encoding not in _DEPTH_ENCODINGS:
         raise TruncatedError(
@@ -73,15 +63,7 @@ def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
 
 
 def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
-    """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
-
-    Args:
-        image: image of counts, or of floats in meters (REP 118).
-        unit_m: meters per count.
-
-    Raises:
-        TruncatedError: the image is not a depth picture.
-    """
+    """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none."""
     if str(image.encoding).lower() != "32fc1":
         return np.multiply(raw_depth(image, unit_m), np.float32(unit_m), dtype=np.float32)
     order = ">" if image.is_bigendian else "<"
@@ -99,11 +81,7 @@ def _counts_of(
 
 
 def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
-    """Return red, green and blue of a sensor_msgs Image.
-
-    Raises:
-        TruncatedError: the encoding is unknown.
-    """
+    """Return red, green and blue of a sensor_msgs Image."""
     encoding = str(image.encoding).lower()
     if encoding not in _TO_RGB:
         raise TruncatedError(f"encoding {image.encoding!r}; known are {', '.join(_TO_RGB)}")
@@ -115,11 +93,7 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
-    """Return red, green and blue of a complete JPEG or PNG.
-
-    Raises:
-        TruncatedError: the file is truncated, too large or of another kind.
-    """
+    """Return red, green and blue of a complete JPEG or PNG."""
     encoded_size(data)
     try:
         picture = cv2.imdecode(
@@ -133,14 +107,7 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
-    """Return the PNG in a CompressedImage of the transport `compressedDepth`.
-
-    The PNG follows a header of 12 bytes. If depth was measured in floats, the two parameters that
-    convert its numbers to meters are returned too; otherwise its numbers are counts.
-
-    Raises:
-        TruncatedError: the message is compressed in another way.
-    """
+    """Return the PNG in a CompressedImage of the transport `compressedDepth`."""
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
     if "compresseddepth" not in form or "rvl" in form or start < 0:
@@ -158,16 +125,7 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
 def inverse_depth(
     png: bytes, curve: tuple[float, float], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
-    """Return depth in whole units from a PNG that stores a / z + b.
-
-    Args:
-        png: 16-bit gray PNG.
-        curve: parameters a and b.
-        unit_m: meters per unit of the result.
-
-    Raises:
-        TruncatedError: the PNG is damaged.
-    """
+    """Return depth in whole units from a PNG that stores a / z + b."""
     counts, (scale, shift) = png_depth(png), curve
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         meters = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
@@ -175,11 +133,7 @@ def inverse_depth(
 
 
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
-    """Return the counts of a complete 16-bit gray PNG.
-
-    Raises:
-        TruncatedError: the PNG is truncated, too large or has another bit depth.
-    """
+    """Return the counts of a complete 16-bit gray PNG."""
     encoded_size(data)
     if not data.startswith(SIGNATURE):
         raise TruncatedError(
@@ -199,11 +153,7 @@ def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
 
 
 def encoded_size(data: bytes) -> tuple[int, int]:
-    """Return the width and height in the header of a PNG or JPEG.
-
-    Raises:
-        TruncatedError: it is neither, is truncated or is larger than any camera's picture.
-    """
+    """Return the width and height in the header of a PNG or JPEG."""
     if data.startswith(SIGNATURE):
         try:
             header = check_chunks(Path("a PNG"), data)

@@ -44,12 +44,7 @@ CAMERA = "camera"
 
 
 def open_source(path: Path, options: ImportOptions) -> Source:
-    """Return the source for a file or folder.
-
-    Raises:
-        InvalidRecordingError: it is not a supported source, or cannot be read.
-        InvalidConfigError: an option contradicts it.
-    """
+    """Return the source for a file or folder."""
     if not path.exists():
         raise InvalidRecordingError(f"{path}: there is no such file or folder; check the name")
     if not (path.is_dir() or path.is_file()):

@@ -44,11 +44,7 @@ class Intrinsics:
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse impossible intrinsics.
-
-        Raises:
-            InvalidRecordingError: with the value and the limit.
-        """
+        """Refuse impossible intrinsics."""
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(numbers).all():
             raise InvalidRecordingError(
@@ -110,8 +106,6 @@ class Intrinsics:
 
     def corner_rays(self) -> Float[np.ndarray, "rows columns 2"]:
         """Return the ray (x / z, y / z) of every pixel corner, one row and column more than pixels.
-
-        The ray is nan where the distortion cannot be inverted (the rim of a wide lens).
         """
         columns, rows = np.meshgrid(
             np.arange(self.width + 1) - 0.5, np.arange(self.height + 1) - 0.5
@@ -150,14 +144,7 @@ class Intrinsics:
     def straighten(
         self, picture: Shaped[np.ndarray, "height width *channels"], *, nearest: bool = False
     ) -> Shaped[np.ndarray, "height width *channels"]:
-        """Return the undistorted picture.
-
-        It is black where the original picture has no pixels.
-
-        Args:
-            picture: picture taken through this lens.
-            nearest: whether to copy the nearest pixel (depth) instead of interpolating (color).
-        """
+        """Return the undistorted picture."""
         if self.straight:
             return picture
         how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR

@@ -49,11 +49,7 @@ class IntrinsicsFile:
 
 
 def read_json(path: Path) -> Any:
-    """Return the content of a JSON file of limited size.
-
-    Raises:
-        InvalidRecordingError: the file is missing, too large or not JSON.
-    """
+    """Return the content of a JSON file of limited size."""
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise InvalidRecordingError(
@@ -67,16 +63,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_intrinsics(path: Path) -> IntrinsicsFile:
-    """Return the intrinsics in a JSON file.
-
-    The file has either one set of intrinsics for both pictures, which then must be registered
-    (`width`, `height` and `fx`, `fy`, `cx`, `cy`; or Open3D's `intrinsic_matrix`, nine numbers by
-    columns), or `depth`, `color` and `color_from_depth`. A set may have `distortion` and `model`
-    ("brown" or "fisheye").
-
-    Raises:
-        InvalidRecordingError: a field is missing or invalid.
-    """
+    """Return the intrinsics in a JSON file."""
     content = read_json(path)
     if not isinstance(content, dict):
         raise InvalidRecordingError(f"{path}: not a JSON object; see docs/import.md")
@@ -98,15 +85,7 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
 
 
 def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
-    """Return a rigid 4 x 4 matrix from its rows.
-
-    Args:
-        what: file and field, for the error message.
-        value: nested lists.
-
-    Raises:
-        InvalidRecordingError: the matrix is not rigid.
-    """
+    """Return a rigid 4 x 4 matrix from its rows."""
     try:
         matrix = np.array(value, dtype=np.float64)
     except (ValueError, TypeError):

@@ -31,11 +31,7 @@ class KinectSource:
     """A Matroska file with the tracks COLOR and DEPTH and an attached calibration."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
-        """Read the file's index and the calibration.
-
-        Raises:
-            InvalidRecordingError: it has no depth, no calibration, or an unknown mode.
-        """
+        """Read the file's index and the calibration."""
         self._path = path
         self._file = Matroska(path)
         try:

@@ -48,9 +48,6 @@ def kinect_intrinsics(
         text: calibration as JSON.
         depth_size: width and height of the depth pictures [pixels].
         color_size: width and height of the color pictures [pixels]; None without color.
-
-    Raises:
-        InvalidRecordingError: the calibration is damaged or the mode is unknown.
     """
     for what, size, modes in (
         ("depth", depth_size, _DEPTH_MODES), ("color", color_size, _COLOR_MODES)

@@ -66,12 +66,7 @@ class Matroska:
     """
 
     def __init__(self, path: Path) -> None:
-        """Index a file.
-
-        Raises:
-            InvalidRecordingError: FFmpeg does not read it as Matroska, or the container compresses
-                its pictures again.
-        """
+        """Index a file."""
         self.tracks: list[Track] = []
         self.tags: dict[str, str] = {}
         self.attachments: dict[str, bytes] = {}
@@ -92,11 +87,7 @@ class Matroska:
         self.damage = "; ".join(dict.fromkeys(errors))
 
     def fetch(self, block: Block) -> bytes:
-        """Return the bytes of a block.
-
-        Raises:
-            TruncatedError: the bytes are missing.
-        """
+        """Return the bytes of a block."""
         return self._file.read(block.offset, block.size)
 
     def close(self) -> None:
@@ -144,10 +135,7 @@ class Matroska:
 
 @contextmanager
 def _logged_errors() -> Iterator[list[str]]:
-    """Yield a list of FFmpeg's error messages inside the block.
-
-    The list is filled when the block ends.
-    """
+    """Yield a list of FFmpeg's error messages inside the block."""
     before, errors = av.logging.get_level(), list[str]()
     av.logging.set_level(av.logging.ERROR)
     try:

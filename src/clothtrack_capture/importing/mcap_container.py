@@ -45,11 +45,7 @@ class McapContainer(ChunkedContainer):
         self._ended = False
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message in file order.
-
-        Raises:
-            TruncatedError: the file is truncated or damaged.
-        """
+        """Yield every message in file order."""
         yield from super().messages()
         if not self._ended:
             raise TruncatedError("the records end without a footer")

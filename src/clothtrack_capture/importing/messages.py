@@ -45,21 +45,13 @@ def message_store(*, cdr: bool) -> Typestore:
 
 
 def payload(container: Container, place: Place) -> bytes:
-    """Return the bytes of a message, decompressed if messages are compressed individually.
-
-    Raises:
-        TruncatedError: the bytes are missing.
-    """
+    """Return the bytes of a message, decompressed if messages are compressed individually."""
     data = container.fetch(place)
     return unpack(data, "zstd") if data.startswith(ZSTD_MAGIC) else data
 
 
 def decode(topic: Topic, data: bytes) -> Any:
-    """Return a message as an object with the fields of its definition.
-
-    Raises:
-        TruncatedError: the bytes are not a message of this type.
-    """
+    """Return a message as an object with the fields of its definition."""
     kind = _TF if topic.kind == "tf/msg/tfMessage" else topic.kind
     store = message_store(cdr=topic.cdr)
     if kind not in store.types:
@@ -75,13 +67,7 @@ def decode(topic: Topic, data: bytes) -> Any:
 
 
 def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
-    """Return the time in the header of a stamped message [ns].
-
-    If it has none, return the write time.
-
-    Raises:
-        TruncatedError: the message is missing.
-    """
+    """Return the time in the header of a stamped message [ns]."""
     if not _STAMPED.match(topic.kind):
         return log_ns
     data = container.fetch(place, 16)
@@ -91,11 +77,7 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
 
 
 def header_stamp_ns(topic: Topic, data: bytes) -> int:
-    """Return the time in the header at the start of a message [ns]; 0 if there is none.
-
-    Raises:
-        TruncatedError: the message ends within the header.
-    """
+    """Return the time in the header at the start of a message [ns]; 0 if there is none."""
     if len(data) < _STAMP_BYTES:
         raise TruncatedError(f"{topic.name}: a message without a header")
     order = "<" if not topic.cdr or data[1] & 1 else ">"
@@ -104,11 +86,7 @@ def header_stamp_ns(topic: Topic, data: bytes) -> int:
 
 
 def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, float]]:
-    """Return the frame ("" if it has none) and the position [m] of a pose message.
-
-    Raises:
-        TruncatedError: the message has no position.
-    """
+    """Return the frame ("" if it has none) and the position [m] of a pose message."""
     inner = message
     for name in ("pose", "pose", "transform", "point", "position", "translation"):
         inner = getattr(inner, name, inner)
@@ -120,10 +98,7 @@ def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, fl
 
 
 def grip_of(message: Any) -> bool | float | None:
-    """Return whether a gripper is closed (Bool), or its opening, or None if neither is given.
-
-    The opening of a JointState is the sum of its joints.
-    """
+    """Return whether a gripper is closed (Bool), or its opening, or None if neither is given."""
     value = message
     for name in ("position", "data"):
         value = getattr(value, name, value)
@@ -136,17 +111,7 @@ def grip_of(message: Any) -> bool | float | None:
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
-    """Return the intrinsics in a CameraInfo.
-
-    Args:
-        topic: name of its topic, for the error message.
-        info: message.
-        rectified: whether the pictures are rectified, so that its projection matrix is used and not
-            its distortion.
-
-    Raises:
-        InvalidRecordingError: the model is unknown or a number is impossible.
-    """
+    """Return the intrinsics in a CameraInfo."""
     coefficients, matrix, projection = (
         np.asarray(getattr(info, name, getattr(info, name.upper(), ())), dtype=np.float64).ravel()
         for name in ("d", "k", "p")
@@ -181,11 +146,7 @@ def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
 
 
 def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:
-    """Return the transform of a geometry_msgs Transform or Pose.
-
-    Raises:
-        TruncatedError: it is not finite, or its quaternion is zero.
-    """
+    """Return the transform of a geometry_msgs Transform or Pose."""
     q = transform.rotation if hasattr(transform, "rotation") else transform.orientation
     t = transform.translation if hasattr(transform, "translation") else transform.position
     quaternion, translation = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])

@@ -38,31 +38,15 @@ class PackedPicture:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """Width and height [pixels]; the file is checked for damage once.
-
-        Raises:
-            TruncatedError: the file is truncated, a byte was changed, or the announced size is too
-                large.
-        """
+        """Width and height [pixels]; the file is checked for damage once."""
         return encoded_size(self.data)
 
     def decode(self) -> Shaped[np.ndarray, "height width *channels"]:
-        """Return the pixels.
-
-        Raises:
-            TruncatedError: the file is truncated, too large or of another kind.
-        """
+        """Return the pixels."""
         return self.unpack(self.data)
 
     def plain_png(self) -> bytes | None:
-        """Return the PNG without remarks if it can be copied, or None if it must be decoded.
-
-        The checks are the same as in decoding: every chunk's checksum, the number of pixels and
-        their checksum, and a valid filter in each row.
-
-        Raises:
-            TruncatedError: the file could be copied but is damaged.
-        """
+        """Return the PNG without remarks if it can be copied, or None if it must be decoded."""
         if not self.data.startswith(SIGNATURE) or self.data[24:29] != self.form:
             return None
         width, height = self.size

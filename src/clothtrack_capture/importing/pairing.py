@@ -51,17 +51,11 @@ def pair(
 ) -> Pairing:
     """Pair depth and color by time stamp.
 
-    Two pictures form a pair if each is the other's nearest and their times differ by no more than
-    the tolerance.
-
     Args:
         path: path of the source, for error messages.
         depth: depth pictures in any order.
         color: color pictures in any order, or None if there is no color stream.
         tolerance_s: largest time difference [s]; half the time between depth pictures by default.
-
-    Raises:
-        InvalidRecordingError: there is no depth picture or no pair at all.
     """
     if not depth:
         raise InvalidRecordingError(
@@ -105,11 +99,7 @@ def pair(
 
 
 def _advice(apart: np.ndarray) -> str:
-    """Return the flag that includes half of the pairs that are too far apart [ns], and its cost.
-
-    Half of them is enough for a constant offset between two clocks, but not for a gap in one
-    stream.
-    """
+    """Return the flag that includes half of the pairs that are too far apart [ns], and its cost."""
     if not len(apart):
         return ""
     tolerance_ms = float(np.ceil(np.median(apart) / 1e6 + 0.5))

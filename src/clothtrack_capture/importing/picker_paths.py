@@ -45,10 +45,6 @@ def placed_paths(
         pose: transform world_from_camera.
         start_ns: time of the first frame on the source's clock [ns].
         posed: whether that pose is known; otherwise the camera's frame is used as the world.
-
-    Raises:
-        InvalidConfigError: a path has no transform to the world, or no time in common with the
-            frames.
     """
     span = [0.0, (max(frame.time_ns for frame in streams.depth) - start_ns) / 1e9]
     if table is not None:
@@ -87,11 +83,7 @@ def add_pickers(
     frame_times: Sequence[float],
     words: Sequence[str],
 ) -> tuple[list[PickAndPlace], list[str]]:
-    """Write the paths, and the actions given by them or by the user.
-
-    Raises:
-        InvalidConfigError: an action is impossible.
-    """
+    """Write the paths, and the actions given by them or by the user."""
     for name, path in paths.items():
         writer.set_picker_path(name, path)
     notes = []
@@ -107,15 +99,7 @@ def add_pickers(
 
 
 def read_path_table(path: Path) -> dict[str, PickerPath]:
-    """Return the path per picker from a CSV file, with the file's times.
-
-    The columns are those of `picker.csv`, or `time, x, y, z` and optionally `closed`, in any order,
-    in seconds and meters.
-
-    Raises:
-        InvalidRecordingError: the file cannot be read, a column is missing or a field is not a
-            number.
-    """
+    """Return the path per picker from a CSV file, with the file's times."""
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise InvalidRecordingError(f"{path}: larger than {_LARGEST_FILE} bytes; shorten it")
@@ -184,9 +168,6 @@ def _on_recording_clock(
         start_s: time of the first frame on that clock [s].
         frame_times: times of the frames [s].
         remedy: advice for the error message if they have no time in common.
-
-    Raises:
-        InvalidConfigError: a path and the frames have no time in common.
     """
     moved = {
         name: PickerPath(path.time_s - start_s, path.positions, path.closed)
@@ -205,11 +186,7 @@ def _on_recording_clock(
 def actions_in_words(
     words: Sequence[str], frames: int, pickers: Sequence[str]
 ) -> list[PickAndPlace]:
-    """Return the actions given as first and last frame, such as "10-50".
-
-    Raises:
-        InvalidConfigError: a word does not have this form, or there is no picker.
-    """
+    """Return the actions given as first and last frame, such as "10-50"."""
     actions: list[PickAndPlace] = []
     for word in words:
         match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", word)

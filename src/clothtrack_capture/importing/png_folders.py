@@ -41,11 +41,7 @@ class FolderSource:
     """A folder with depth pictures, optional color pictures, and the data needed to read them."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
-        """List the pictures and read intrinsics, unit and times.
-
-        Raises:
-            InvalidRecordingError: the intrinsics, the unit of depth or the times are not known.
-        """
+        """List the pictures and read intrinsics, unit and times."""
         self._path = path
         if (path / "depth.txt").is_file():
             kind = "folder in TUM style"

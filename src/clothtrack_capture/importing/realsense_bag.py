@@ -28,12 +28,7 @@ def is_stream(topic: Topic) -> bool:
 
 
 def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
-    """Return meters per unit of depth, from the sensor's option.
-
-    Args:
-        heard: first message per topic that matches `WANTED`.
-        depth: topic of the depth pictures.
-    """
+    """Return meters per unit of depth, from the sensor's option."""
     match = _STREAM.match(base_name(depth.name))
     if match is None:
         return None
@@ -51,11 +46,7 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
 def color_from_depth(
     heard: Mapping[str, Any], depth: Topic, color: Topic
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Return the rigid transform from depth to color camera [m]; None if the file has none.
-
-    Raises:
-        TruncatedError: the stored values are not a transform.
-    """
+    """Return the rigid transform from depth to color camera [m]; None if the file has none."""
     poses = []
     for topic in (depth, color):
         stream = base_name(topic.name).removesuffix("/image/data")

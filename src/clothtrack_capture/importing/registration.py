@@ -45,30 +45,18 @@ class Registration:
             self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
 
     def keeps_depth(self, size: tuple[int, int]) -> bool:
-        """Return whether depth pictures of this width and height are passed through.
-
-        Raises:
-            TruncatedError: their size differs from that of their intrinsics.
-        """
+        """Return whether depth pictures of this width and height are passed through."""
         _check_size(size, self._calibration.depth)
         return not self.carried and self._calibration.depth.straight
 
     def keeps_color(self, size: tuple[int, int]) -> bool:
-        """Return whether color pictures of this width and height are passed through.
-
-        Raises:
-            TruncatedError: their size differs from that of their intrinsics.
-        """
+        """Return whether color pictures of this width and height are passed through."""
         intrinsics = self._calibration.color or self._calibration.depth
         _check_size(size, intrinsics)
         return intrinsics.straight
 
     def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
-        """Return the depth picture for the recording's camera, in the same units.
-
-        Raises:
-            TruncatedError: the picture's size differs from that of its intrinsics.
-        """
+        """Return the depth picture for the recording's camera, in the same units."""
         intrinsics = self._calibration.depth
         _check_size(counts.shape[1::-1], intrinsics)
         if not self.carried:
@@ -94,11 +82,7 @@ class Registration:
             return self._painted.astype(np.uint16)
 
     def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-        """Return the color picture without distortion.
-
-        Raises:
-            TruncatedError: the picture's size differs from that of its intrinsics.
-        """
+        """Return the color picture without distortion."""
         intrinsics = self._calibration.color or self._calibration.depth
         _check_size(picture.shape[1::-1], intrinsics)
         return intrinsics.straighten(picture)

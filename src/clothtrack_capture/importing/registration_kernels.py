@@ -24,12 +24,7 @@ def _splat_pixel(
     height: int,
     painted: wp.array(dtype=wp.int32),
 ):
-    """Paint one pixel as the rectangle between two opposite corners, projected at its depth.
-
-    Every pixel center in the rectangle gets the depth, and the nearest depth wins. Neighbors on a
-    slanted surface move apart by a fraction of a pixel. So the rectangle is extended by almost half
-    a pixel on every side, where it ranks behind every rectangle that covers the pixel itself.
-    """
+    """Paint one pixel as the rectangle between two opposite corners, projected at its depth."""
     one, other = count * low + shift, count * high + shift
     # This form of the comparison also rejects NaN.
     if not (one[2] > 0.0 and other[2] > 0.0):

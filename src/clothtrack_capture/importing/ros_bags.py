@@ -52,13 +52,7 @@ class BagSource:
     """A bag in one or several files."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
-        """Read the bag, choose topics and collect the cameras' calibration.
-
-        Raises:
-            InvalidRecordingError: it cannot be read, or a topic, intrinsics, pose or unit is
-                missing.
-            InvalidConfigError: an option contradicts the bag.
-        """
+        """Read the bag, choose topics and collect the cameras' calibration."""
         self._path = path
         self._parts, words = open_parts(bag_files(path))
         try:

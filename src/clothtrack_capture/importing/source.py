@@ -96,20 +96,11 @@ class Source(Protocol):
         ...
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes the counts of a depth picture.
-
-        It may be called in another thread.
-
-        Raises:
-            TruncatedError: the bytes are missing (or, from the function, are not a picture).
-        """
+        """Return a function that decodes the counts of a depth picture."""
         ...
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
         """Return a function that decodes red, green and blue; it may be called in another thread.
-
-        Raises:
-            TruncatedError: the bytes are missing (or, from the function, are not a picture).
         """
         ...
 

@@ -18,12 +18,7 @@ class SqliteContainer:
     """A `.db3` file."""
 
     def __init__(self, path: Path) -> None:
-        """Open the database without locking or changing anything.
-
-        Raises:
-            InvalidRecordingError: it lacks the tables of a bag, or its last messages are in a
-                separate write-ahead log.
-        """
+        """Open the database without locking or changing anything."""
         self.path, self._steps = path, 0
         log = path.with_name(path.name + "-wal")
         if log.exists() and log.stat().st_size:
@@ -60,11 +55,7 @@ class SqliteContainer:
         return list(self._topics.values())
 
     def messages(self) -> Iterator[Message]:
-        """Yield every message in write order.
-
-        Raises:
-            TruncatedError: the database is truncated or damaged.
-        """
+        """Yield every message in write order."""
         last = -(2**63)
         try:
             rows = self._base.execute(
@@ -81,11 +72,7 @@ class SqliteContainer:
             raise TruncatedError(f"after row {last}: {error}") from error
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """Return the bytes of a message, or only the first `most`.
-
-        Raises:
-            TruncatedError: the bytes are missing.
-        """
+        """Return the bytes of a message, or only the first `most`."""
         self._steps = 0
         try:
             with self._base.blobopen("messages", "data", place.offset, readonly=True) as blob:

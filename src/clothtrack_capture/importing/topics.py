@@ -44,11 +44,7 @@ def _image_topics(topics: Iterable[Topic]) -> list[Topic]:
 
 
 def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topic:
-    """Return the topic of depth.
-
-    Raises:
-        InvalidRecordingError: no topic or several match; the message lists all and the flag.
-    """
+    """Return the topic of depth."""
     # The plain `compressed` of a depth topic can be 8-bit; compressedDepth never is.
     able = [topic for topic in _image_topics(topics) if not topic.name.endswith("/compressed")]
     return _choose(path, able, _DEPTH, asked, what="depth", flag="--depth-topic", every=topics)
@@ -57,11 +53,7 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
 def choose_color(
     path: Path, topics: Sequence[Topic], depth: Topic, asked: str | None
 ) -> Topic | None:
-    """Return the topic of color, or None if there is none.
-
-    Raises:
-        InvalidRecordingError: several match, or the requested one does not exist.
-    """
+    """Return the topic of color, or None if there is none."""
     able = [
         topic
         for topic in _image_topics(topics)

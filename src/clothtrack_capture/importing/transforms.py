@@ -119,11 +119,7 @@ class TransformTree:
     def lookup(
         self, target: str, source: str, times: Int64[np.ndarray, " times"]
     ) -> Float[np.ndarray, "times 4 4"]:
-        """Return the transform from frame `source` to frame `target` at each time [ns].
-
-        It is linear between samples (rotations along the shortest arc) and constant beyond the
-        ends.
-        """
+        """Return the transform from frame `source` to frame `target` at each time [ns]."""
         target, source = target.lstrip("/"), source.lstrip("/")
         return np.linalg.inv(self._to_root(target, times)) @ self._to_root(source, times)
 
