@@ -7,6 +7,7 @@ recorded results, not exceptions.
 
 import errno
 from pathlib import Path
+from typing import Any
 
 
 class ClothTrackError(Exception):
@@ -14,7 +15,16 @@ class ClothTrackError(Exception):
 
 
 class InvalidRecordingError(ClothTrackError):
-    """A recording on disk cannot be used as it is."""
+    """A recording on disk cannot be used as it is.
+
+    Attributes:
+        violation: what a finished recording violates, if that is the reason.
+    """
+
+    def __init__(self, message: str, violation: Any = None) -> None:
+        """Keep the violation beside the message."""
+        super().__init__(message)
+        self.violation = violation
 
 
 class TruncatedError(ClothTrackError):

@@ -163,7 +163,7 @@ def table(path, text):
     ],
 )
 def test_tables(text, tmp_path):
-    path = read_path_table(table(tmp_path / "path.csv", text))["picker"]
+    path = read_path_table(table(tmp_path / "path.csv", text))[0]["picker"]
     assert path.time_s.tolist() == [0.1, 0.2]
     assert path.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert path.closed.tolist() == [False, True]

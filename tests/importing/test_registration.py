@@ -14,8 +14,15 @@ from clothtrack_capture.importing.source import StereoCalibration
 DEPTH = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5)
 
 
-def calibration(color, pose, depth=DEPTH, unit_m=1e-3):
-    return StereoCalibration(depth, color, pose, unit_m, "test")
+UNIT_M = 1e-3
+
+
+def calibration(color, pose, depth=DEPTH):
+    return StereoCalibration(depth, color, pose, "test")
+
+
+def registered(color, pose, depth=DEPTH):
+    return Registration(calibration(color, pose, depth), UNIT_M)
 
 
 def shifted(x=0.0, y=0.0, z=0.0, turn=(0.0, 0.0, 0.0)):
@@ -27,7 +34,7 @@ def shifted(x=0.0, y=0.0, z=0.0, turn=(0.0, 0.0, 0.0)):
 
 def test_the_same_camera_changes_nothing(rng):
     counts = rng.integers(0, 65536, (36, 48)).astype(np.uint16)
-    registration = Registration(calibration(DEPTH, np.eye(4)))
+    registration = registered(DEPTH, np.eye(4))
     assert not registration.carried
     assert registration.depth(counts) is counts
 
@@ -35,7 +42,7 @@ def test_the_same_camera_changes_nothing(rng):
 def test_a_plane_moves_by_its_disparity():
     """A plane at 1 m and a camera 10 cm to the left: fx * b / z = 4 pixels."""
     counts = np.full((36, 48), 1000, dtype=np.uint16)
-    carried = Registration(calibration(DEPTH, shifted(x=0.1))).depth(counts)
+    carried = registered(DEPTH, shifted(x=0.1)).depth(counts)
     assert (carried[:, 4:] == 1000).all()
     assert (carried[:, :4] == 0).all()
 
@@ -43,7 +50,7 @@ def test_a_plane_moves_by_its_disparity():
 def test_a_finer_picture_has_no_cracks():
     counts = np.full((36, 48), 800, dtype=np.uint16)
     fine = Intrinsics(120, 90, 100.0, 100.0, 59.5, 44.5)
-    carried = Registration(calibration(fine, shifted(z=0.2))).depth(counts)
+    carried = registered(fine, shifted(z=0.2)).depth(counts)
     inner = carried[20:70, 30:90]
     assert (inner == 1000).all()
 
@@ -52,7 +59,7 @@ def test_the_nearest_wins_and_holes_stay():
     counts = np.full((36, 48), 2000, dtype=np.uint16)
     counts[:, 20:24] = 500
     counts[10:14, 30:34] = 0
-    carried = Registration(calibration(DEPTH, shifted(x=0.05))).depth(counts)
+    carried = registered(DEPTH, shifted(x=0.05)).depth(counts)
     # The bar moves by 4 pixels, the wall by 1; what was behind the bar is not known.
     assert (carried[:, 24:28] == 500).all()
     assert (carried[:, 21:24] == 0).all()
@@ -68,14 +75,14 @@ def reference(counts, calibration):
         for u in range(depth.width):
             if not counts[v, u]:
                 continue
-            z = counts[v, u] * calibration.depth_unit_m
+            z = counts[v, u] * UNIT_M
             spots, depths = [], []
             for du in (-0.5, 0.5):
                 ray = np.array([(u + du - depth.cx) / depth.fx, (v + du - depth.cy) / depth.fy, 1])
                 x, y, w = pose[:3, :3] @ (ray * z) + pose[:3, 3]
                 spots.append((color.fx * x / w + color.cx, color.fy * y / w + color.cy))
                 depths.append(w)
-            value = int(np.mean(depths) / calibration.depth_unit_m + 0.5)
+            value = int(np.mean(depths) / UNIT_M + 0.5)
             (a, b), (c, d) = spots
             for y in range(
                 max(int(np.ceil(min(b, d))), 0), min(int(np.ceil(max(b, d))), color.height)
@@ -100,7 +107,7 @@ def test_against_the_slow_reference(x, y, tilt, roll, seed):
         color = Intrinsics(56, 40, 52.0, 51.0, 28.0 + moved_px, 19.0 + moved_px)
         return calibration(color, pose)
 
-    expected, carried = reference(counts, one(0)), Registration(one(0)).depth(counts)
+    expected, carried = reference(counts, one(0)), Registration(one(0), UNIT_M).depth(counts)
     # A center exactly on an edge may fall on either side of it in single precision. Such
     # pixels change when the picture moves by a thousandth of a pixel; they are not compared.
     certain = (reference(counts, one(-1e-3)) == expected) & (
@@ -117,7 +124,7 @@ def test_distortion_is_taken_out_of_depth():
     bent = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5, (-0.2, 0.05, 1e-3, -1e-3, 0.0))
     counts = np.full((36, 48), 1000, dtype=np.uint16)
     for color in (None, Intrinsics(48, 36, 60.0, 60.0, 23.5, 17.5)):
-        carried = Registration(calibration(color, np.eye(4), bent)).depth(counts)
+        carried = registered(color, np.eye(4), bent).depth(counts)
         assert (carried[6:30, 6:42] == 1000).all()
 
 
@@ -148,14 +155,14 @@ def test_a_color_picture_is_straightened():
     columns, rows = np.meshgrid(np.arange(64.0), np.arange(48.0))
     spot = np.exp(-((columns - bent[0]) ** 2 + (rows - bent[1]) ** 2) / 8)
     picture = np.repeat((255 * spot).astype(np.uint8)[..., None], 3, axis=2)
-    straight = Registration(calibration(lens, np.eye(4), lens)).color(picture)[..., 0].astype(float)
+    straight = registered(lens, np.eye(4), lens).color(picture)[..., 0].astype(float)
     center = [(straight * axis).sum() / straight.sum() for axis in (columns, rows)]
     assert center == pytest.approx([0.3 * 50 + 31.5, -0.2 * 50 + 23.5], abs=0.15)
 
 
 def test_another_size_than_the_lens_is_refused():
     with pytest.raises(TruncatedError, match="48 x 36"):
-        Registration(calibration(None, np.eye(4))).depth(np.zeros((10, 10), np.uint16))
+        registered(None, np.eye(4)).depth(np.zeros((10, 10), np.uint16))
 
 
 @pytest.mark.parametrize("change", [{"fx": np.nan}, {"width": 0}, {"distortion": (1.0, 2.0, 3.0)}])

@@ -33,6 +33,7 @@ from clothtrack.cli.terminal import (
 from clothtrack.cli.usage import Function, overview, parse
 from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
+from clothtrack.errors import InvalidConfigError
 
 OWN: Mapping[str, str] = {
     "demo": "demo",
@@ -100,6 +101,9 @@ def _begin(words: Sequence[str]) -> int:
     if words[:1] in (["-h"], ["--help"]):
         say(overview(VERBS, GROUPS))
         return 0
+    for word in words:
+        if not word.isprintable() and any("\udc80" <= letter <= "\udcff" for letter in word):
+            raise InvalidConfigError(f"{word!r}: the name is not UTF-8, as results need; rename it")
     function, chosen = parse(words, VERBS)
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")

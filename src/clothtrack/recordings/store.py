@@ -209,7 +209,7 @@ class RecordingWriter:
         )
 
     def add_encoded_frame(
-        self, time_s: float, *, color: Mapping[str, bytes] | None, depth: Mapping[str, bytes]
+        self, time_s: float, encoded: Mapping[PictureKind, Mapping[str, bytes]]
     ) -> None:
         """Write one frame whose pictures are PNG files already, as `encode_png` makes them.
 
@@ -217,15 +217,14 @@ class RecordingWriter:
 
         Args:
             time_s: time since the start [s], after the frame before.
-            color: per camera name, an 8-bit PNG.
-            depth: per camera name, a 16-bit gray PNG in the camera's `depth_units_m`.
+            encoded: PNG per kind ("color" 8-bit, "depth" 16-bit gray in the camera's
+                `depth_units_m`, "mask" 8-bit gray) and camera name.
 
         Raises:
             InvalidRecordingError: a camera is unknown, a picture has another size, the time does
                 not advance.
             StorageError: the disk refuses.
         """
-        encoded: dict[PictureKind, Mapping[str, bytes]] = {"color": color or {}, "depth": depth}
         for shown in encoded.values():
             for name, png in shown.items():
                 header = parse_header(Path(name), png[:29], png[-12:])
@@ -316,7 +315,8 @@ class RecordingWriter:
         self._write(DOCUMENT, text.encode())
         checked = check_recording(self._partial)
         if checked.recording is None:
-            raise InvalidRecordingError(f"{self._folder}: {checked.violations[0].message}")
+            first = checked.violations[0]
+            raise InvalidRecordingError(f"{self._folder}: {first.message}", first)
         with storage(self._folder):
             self._partial.rename(self._folder)
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -12,8 +11,8 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.recordings.recording import PickerPath
 from clothtrack_capture.importing.bag_walk import Walk
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.messages import grip_of
-from clothtrack_capture.importing.topics import listed
+from clothtrack_capture.importing.messages import grip_of, gripper_joints
+from clothtrack_capture.importing.topics import topic_list
 
 PICKER = "picker"
 _CLOCKS_DIFFER_NS = 10**9
@@ -86,13 +85,19 @@ def _from_topic(
 ) -> tuple[Int64[np.ndarray, " times"], Float[np.ndarray, "times 3"], str]:
     if not walk.poses:
         raise InvalidConfigError(
-            f"{path}: no position in topic {topic!r}; topics: {listed(walk.topics)}; name one of "
-            "PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
+            f"{path}: no position in topic {topic!r}; topics: {topic_list(walk.topics)}; name one "
+            "of PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
         )
     poses = sorted(walk.poses, key=lambda pose: pose[0])
     times = np.array([pose[0] for pose in poses], dtype=np.int64)
     positions = np.array([pose[2] for pose in poses])
     origin = poses[0][1]
+    other = next((pose for pose in poses if pose[1] != origin), None)
+    if other is not None:
+        raise InvalidConfigError(
+            f"{path}: --picker-topic {topic!r} tells positions in frame {origin!r} and, from "
+            f"{other[0] / 1e9:.3f} s on, in {other[1]!r}; give --picker-frame with the tool's frame"
+        )
     if not (target and origin and walk.tree.connects(target, origin)):
         # No transform connects its frame to the camera's. The user must say whether it is the
         # world.
@@ -108,42 +113,66 @@ def _closed(
     if not walk.grips:
         raise InvalidConfigError(
             f"{path}: no message in --gripper-topic {options.gripper_topic!r}; topics: "
-            f"{listed(walk.topics)}"
+            f"{topic_list(walk.topics)}"
         )
     unstamped = not hasattr(walk.grips[0][1], "header")
     gap = walk.clock_gap_ns if unstamped and abs(walk.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
-    text = sorted((time - gap, _is_closed(path, message, options)) for time, message in walk.grips)
+    told = [(time, grip_of(message, options.gripper_joints)) for time, message in walk.grips]
+    # Several nodes may publish on one topic of joints; those without the gripper's are passed over.
+    told = [(time, grip) for time, grip in told if grip is not None]
+    joints = _joints(path, walk, options, found=bool(told))
+    text = sorted((time - gap, _is_closed(path, grip, options)) for time, grip in told)
     when = np.array([time for time, _ in text])
     what = np.array([closed for _, closed in text])
     # Before the first message, assume the state that this message reports.
     last = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
-    notes = []
+    notes = [f"the gripper's joints in {options.gripper_topic}: {joints}"] if joints else []
     if gap:
         notes.append(
             f"{options.gripper_topic} has no time stamps of its own; its times of writing were "
             f"moved by {-gap / 1e9:.3f} s to the clock of the pictures"
         )
-    if options.gripper_closed_below is not None and what.all():
-        told = [grip_of(message) for _, message in walk.grips]
+    if options.gripper_closed_below is not None and (what.all() or not what.any()):
+        always = "closed" if what.all() else "open"
+        values = [grip for _, grip in told]
         notes.append(
-            f"the gripper is closed all the time: its values are {min(told):g} to {max(told):g}, "
-            f"--gripper-closed-below is {options.gripper_closed_below:g}"
+            f"the gripper is {always} all the time: its values are {min(values):g} to "
+            f"{max(values):g}, --gripper-closed-below is {options.gripper_closed_below:g}"
         )
     return what[last], notes
 
 
-def _is_closed(path: Path, message: Any, options: ImportOptions) -> bool:
-    told = grip_of(message)
+def _joints(path: Path, walk: Walk, options: ImportOptions, *, found: bool) -> str:
+    """Return the joints that were taken from a JointState with others, as text.
+
+    Raises:
+        InvalidConfigError: no message has a joint of the gripper.
+    """
+    every = {name: None for _, message in walk.grips for name in getattr(message, "name", ())}
+    chosen = gripper_joints(list(every), options.gripper_joints)
+    if found:
+        return ", ".join(chosen) if len(chosen) < len(every) else ""
+    asked = f"--gripper-topic {options.gripper_topic!r}"
+    if not every:
+        raise InvalidConfigError(
+            f"{path}: {asked} tells no number; name a topic of Bool, Float or JointState"
+        )
+    raise InvalidConfigError(
+        f"{path}: {asked} has the joints {', '.join(every)}, and "
+        + (
+            f"none is called {', '.join(options.gripper_joints)}" if options.gripper_joints
+            else "no name tells which are the gripper's"
+        )
+        + "; name them with --gripper-joints"
+    )  # fmt: skip
+
+
+def _is_closed(path: Path, told: bool | float, options: ImportOptions) -> bool:
     if isinstance(told, bool):
         return told
     if options.gripper_closed_below is None:
         raise InvalidConfigError(
             f"{path}: --gripper-topic {options.gripper_topic!r} tells numbers, not closed or open; "
             "say below which value the gripper is closed: --gripper-closed-below"
-        )
-    if told is None:
-        raise InvalidConfigError(
-            f"{path}: --gripper-topic {options.gripper_topic!r} tells no number; name a topic of "
-            "Bool, Float or JointState"
         )
     return told < options.gripper_closed_below

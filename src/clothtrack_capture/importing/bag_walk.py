@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,9 @@ from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import bag_container, mcap_container, sqlite_container
 from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.containers import Container, Message, Place, Topic
-from clothtrack_capture.importing.messages import decode, payload, position_of, stamp_ns
+from clothtrack_capture.importing.messages import decode, lens_words, payload, position_of, stamp_ns
 from clothtrack_capture.importing.source import StreamFrame
-from clothtrack_capture.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
+from clothtrack_capture.importing.topics import CAMERA_INFO, is_picture
 from clothtrack_capture.importing.transforms import TransformTree
 
 _CONTAINERS = (
@@ -22,6 +23,10 @@ _CONTAINERS = (
 )
 _TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _CLOCK_SAMPLES = 200
+# A writer's clock that falls behind by more was set back; writing goes on one picture later.
+_SET_BACK_NS, _STEP_NS = 10**9, 33_333_333
+# Parts of one bag follow each other within this time, and overlap by no more than this.
+_PART_GAP_NS, _PART_OVERLAP_NS = 10 * 10**9, 10**9
 
 
 def is_bag(path: Path) -> bool:
@@ -68,40 +73,67 @@ class Walk:
     Attributes:
         pose_topic: topic of the picker's pose, if requested.
         grip_topic: topic of the gripper, if requested.
+        written: whether the times of writing replace the stamps.
         topics: every topic.
-        frames: pictures per topic name.
-        infos: first CameraInfo per topic name.
+        frames: pictures per topic name, in the order of writing.
+        infos: first CameraInfo per topic name; `info_bytes` has its bytes after the stamp.
+        changed: what the first value does not stand for, in words, per topic name.
         heard: first message per topic name of the SDK's options and poses.
         tree: TF.
         poses: (time [ns], frame, position [m]) from the pose topic.
-        grips: (time [ns], message) from the gripper topic; times as in headers.
+        grips: (time [ns], message) from the gripper topic.
         gaps_ns: write time minus header time of the first pictures [ns].
     """
 
     pose_topic: str | None = None
     grip_topic: str | None = None
+    written: bool = False
     topics: list[Topic] = field(default_factory=list)
     frames: dict[str, list[StreamFrame]] = field(default_factory=dict)
     infos: dict[str, Any] = field(default_factory=dict)
+    changed: dict[str, str] = field(default_factory=dict)
     heard: dict[str, Any] = field(default_factory=dict)
     tree: TransformTree = field(default_factory=TransformTree)
     poses: list[tuple[int, str, tuple[float, float, float]]] = field(default_factory=list)
     grips: list[tuple[int, Any]] = field(default_factory=list)
     gaps_ns: list[int] = field(default_factory=list)
+    info_bytes: dict[str, bytes] = field(default_factory=dict)
+    _latest_ns: int = -(2**63)
+    _shift_ns: int = 0
 
     @property
     def clock_gap_ns(self) -> int:
         """Write time minus header time [ns], median over the first pictures."""
         return sorted(self.gaps_ns)[len(self.gaps_ns) // 2] if self.gaps_ns else 0
 
+    def written_ns(self, log_ns: int) -> int:
+        """Return a time of writing [ns] that goes on where the writer's clock was set back."""
+        if log_ns + self._shift_ns < self._latest_ns - _SET_BACK_NS:
+            self._shift_ns = self._latest_ns + _STEP_NS - log_ns
+        self._latest_ns = max(self._latest_ns, log_ns + self._shift_ns)
+        return log_ns + self._shift_ns
+
+
+def in_time_order(containers: Sequence[Container]) -> list[Container]:
+    """Return the parts of a bag by the times of their first messages."""
+    if len(containers) < 2:
+        return list(containers)
+    first = {id(one): next(_messages(one), None) for one in containers}
+    begun = [one for one in containers if first[id(one)] is not None]
+    return sorted(begun, key=lambda one: getattr(first[id(one)], "log_ns", 0))
+
 
 def walk(
-    containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
-) -> Walk:
+    path: Path, containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None,
+    written: bool,
+) -> Walk:  # fmt: skip
     """Read every part of a bag once."""
-    result = Walk(pose_topic, grip_topic)
+    result = Walk(pose_topic, grip_topic, written)
+    spans: list[tuple[int, int, Container]] = []
     for part, container in enumerate(containers):
+        first = last = None
         for message in _messages(container):
+            first, last = first or message.log_ns, message.log_ns
             try:
                 _note(result, container, message, part)
             except TruncatedError as error:
@@ -109,8 +141,22 @@ def walk(
                     f"{container.path}: a message cannot be read ({error}); name another topic, or "
                     "copy the bag again"
                 ) from error
+        spans.append((first or 0, last or 0, container))
         known = {topic.name for topic in result.topics}
         result.topics += [topic for topic in container.topics() if topic.name not in known]
+    if not all(
+        -_PART_OVERLAP_NS <= start - end <= _PART_GAP_NS
+        for (_, end, _), (start, _, _) in pairwise(spans)
+    ):
+        files = "; ".join(
+            f"{container.path.name}: {first / 1e9:.3f} to {last / 1e9:.3f} s"
+            for first, last, container in spans
+        )
+        raise InvalidRecordingError(
+            f"{path}: {len(spans)} bags that do not follow each other within "
+            f"{_PART_GAP_NS / 1e9:.0f} s ({files}); import one file, such as "
+            f"{spans[0][2].path}"
+        )
     return result
 
 
@@ -125,31 +171,47 @@ def _messages(container: Container) -> Iterator[Message]:
 
 
 def _note(result: Walk, container: Container, message: Message, part: int) -> None:
-    topic, log_ns, place = message.topic, message.log_ns, message.place._replace(part=part)
-    if topic.kind in (IMAGE, COMPRESSED):
-        time_ns = stamp_ns(container, topic, place, log_ns)
-        if len(result.gaps_ns) < _CLOCK_SAMPLES:
-            result.gaps_ns.append(log_ns - time_ns)
-        result.frames.setdefault(topic.name, []).append(StreamFrame(time_ns, place))
-    elif topic.kind == CAMERA_INFO and topic.name not in result.infos:
-        result.infos[topic.name] = decode(topic, payload(container, place))
+    topic, place = message.topic, message.place._replace(part=part)
+    written_ns = result.written_ns(message.log_ns)
+    wanted = topic.name in (result.pose_topic, result.grip_topic)
+    stamp = stamp_ns(container, topic, place) if wanted or is_picture(topic) else 0
+    time_ns = stamp if stamp and not result.written else written_ns
+    if is_picture(topic):
+        if time_ns != written_ns and len(result.gaps_ns) < _CLOCK_SAMPLES:
+            result.gaps_ns.append(written_ns - time_ns)
+        frame = StreamFrame(time_ns, place, written_ns, stamped=bool(stamp))
+        result.frames.setdefault(topic.name, []).append(frame)
+    elif topic.kind == CAMERA_INFO:
+        _note_info(result, topic, payload(container, place))
     elif topic.kind in _TF_KINDS:
         for stamped in decode(topic, payload(container, place)).transforms:
-            result.tree.add_message(stamped, log_ns, static="static" in topic.name)
-    elif realsense.WANTED.match(topic.name) and topic.name not in result.heard:
-        result.heard[topic.name] = decode(topic, payload(container, place))
-    if topic.name == result.pose_topic:
-        _pose(result, container, message, place)
-    if topic.name == result.grip_topic:
-        time_ns = stamp_ns(container, topic, place, log_ns)
-        result.grips.append((time_ns, decode(topic, payload(container, place))))
+            result.tree.add_message(
+                stamped, written_ns, static="static" in topic.name, written=result.written
+            )
+    elif realsense.WANTED.match(topic.name):
+        content = decode(topic, payload(container, place))
+        first = result.heard.setdefault(topic.name, content)
+        if getattr(first, "data", None) != getattr(content, "data", None):
+            result.changed[topic.name] = f"{first.data} and later {content.data}"
+    if wanted:
+        content = decode(topic, payload(container, place))
+        if topic.name == result.pose_topic:
+            result.poses.append((time_ns, *position_of(topic, content)))
+        else:
+            result.grips.append((time_ns, content))
 
 
-def _pose(result: Walk, container: Container, message: Message, place: Place) -> None:
-    topic = message.topic
-    content = decode(topic, payload(container, place))
-    time_ns = stamp_ns(container, topic, place, message.log_ns)
-    result.poses.append((time_ns, *position_of(topic, content)))
+def _note_info(result: Walk, topic: Topic, data: bytes) -> None:
+    """Store the first CameraInfo of a topic, and how a later one differs but for its stamp."""
+    # In ROS 1 and in CDR alike, the stamp ends with byte 12.
+    if result.infos.get(topic.name) is None:
+        result.infos[topic.name] = decode(topic, data)
+        result.info_bytes[topic.name] = data[12:]
+    elif data[12:] != result.info_bytes[topic.name] and topic.name not in result.changed:
+        first, later = (lens_words(info) for info in (result.infos[topic.name],
+                                                      decode(topic, data)))  # fmt: skip
+        if first != later:
+            result.changed[topic.name] = f"{first} and later {later}"
 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:

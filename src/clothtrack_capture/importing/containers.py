@@ -22,7 +22,8 @@ from clothtrack.errors import InvalidRecordingError, TruncatedError
 # Larger than any picture or chunk that a recorder writes; a larger size means a damaged file.
 MOST_BYTES = 96 * 2**20
 MOST_TOPICS = 10_000
-_CACHED_BYTES = 2 * MOST_BYTES
+# A larger cache costs memory and saves no time: pictures are fetched nearly in file order.
+_CACHED_BYTES = 24 * 2**20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 Read = Callable[[int, int], bytes]

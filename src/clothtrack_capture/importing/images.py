@@ -33,7 +33,7 @@ _TO_RGB = {
     "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB),
     "bayer_grbg8": (1, cv2.COLOR_BayerGB2RGB),
 }
-_DEPTH_ENCODINGS = ("16uc1", "mono16", "32fc1")
+DEPTH_ENCODINGS, GRAY_ENCODINGS = ("16uc1", "mono16", "32fc1"), ("mono8", "8uc1")
 _JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 _HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two parameters
 
@@ -48,36 +48,29 @@ def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height byt
     return data[: step * height].reshape(height, step)[:, :row]
 
 
-def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
-    """Return the depth of a sensor_msgs Image in whole units."""
+def raw_depth(image: Any) -> Shaped[np.ndarray, "height width"]:
+    """Return the numbers of a depth picture in a sensor_msgs Image: uint16 or float32."""
     encoding = str(image.encoding).lower()
-    if encoding not in _DEPTH_ENCODINGS:
+    if encoding not in DEPTH_ENCODINGS:
         raise TruncatedError(
-            f"encoding {image.encoding!r}; depth is one of {', '.join(_DEPTH_ENCODINGS)}"
+            f"encoding {image.encoding!r}; depth is one of {', '.join(DEPTH_ENCODINGS)}"
         )
-    order = ">" if image.is_bigendian else "<"
-    if encoding == "32fc1":
-        rows = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4")
-        return _counts_of(rows, unit_m)
-    return np.ascontiguousarray(_raw_rows(image, 2)).view(f"{order}u2").astype(np.uint16)
+    kind, size = ("f4", 4) if encoding == "32fc1" else ("u2", 2)
+    rows = np.ascontiguousarray(_raw_rows(image, size))
+    return rows.view(f"{'>' if image.is_bigendian else '<'}{kind}").astype(kind)
 
 
 def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
-    """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none."""
-    if str(image.encoding).lower() != "32fc1":
-        return np.multiply(raw_depth(image, unit_m), np.float32(unit_m), dtype=np.float32)
-    order = ">" if image.is_bigendian else "<"
-    meters = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4").astype(np.float32)
-    return np.where(np.isfinite(meters) & (meters > 0), meters, np.float32(0))
+    """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
 
-
-def _counts_of(
-    meters: Shaped[np.ndarray, "height width"], unit_m: float
-) -> UInt16[np.ndarray, "height width"]:
-    """Return depth in whole units; 0 where not finite, not positive or above 65,535 units."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        units = np.rint(meters.astype(np.float32) / np.float32(unit_m))
-        return np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
+    Args:
+        image: image of counts, or of floats in meters (REP 118).
+        unit_m: meters per count [m].
+    """
+    numbers = raw_depth(image)
+    if numbers.dtype.kind == "u":
+        return np.multiply(numbers, np.float32(unit_m), dtype=np.float32)
+    return np.where(np.isfinite(numbers) & (numbers > 0), numbers, np.float32(0))
 
 
 def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
@@ -94,26 +87,33 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
 
 def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     """Return red, green and blue of a complete JPEG or PNG."""
+    picture = _decoded(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
+
+
+def _decoded(data: bytes, flags: int) -> Any:
     encoded_size(data)
     try:
-        picture = cv2.imdecode(
-            np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        )
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
     if picture is None:
         raise TruncatedError("a picture that cannot be decoded")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
+    return picture
 
 
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
-    """Return the PNG in a CompressedImage of the transport `compressedDepth`."""
+    """Return the PNG in a CompressedImage of depth, and the parameters of depth in floats.
+
+    The transport `compressedDepth` writes 12 bytes before the PNG; for floats, two of them are the
+    parameters a and b of a / z + b.
+    """
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
-    if "compresseddepth" not in form or "rvl" in form or start < 0:
+    if "rvl" in form or start < 0:
         raise TruncatedError(
-            f"depth in the format {message.format!r}; only compressedDepth as PNG keeps what was "
-            "measured: record image_raw or image_raw/compressedDepth"
+            f"depth in the format {message.format!r}; only PNG keeps what was measured: record "
+            "image_raw or image_raw/compressedDepth"
         )
     if not form.startswith("32fc1"):
         return data[start:], None
@@ -122,32 +122,32 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
     return data[start:], struct.unpack_from("<ff", data, start - 8)
 
 
-def inverse_depth(
-    png: bytes, curve: tuple[float, float], unit_m: float
-) -> UInt16[np.ndarray, "height width"]:
-    """Return depth in whole units from a PNG that stores a / z + b."""
+def inverse_depth(png: bytes, curve: tuple[float, float]) -> Float[np.ndarray, "height width"]:
+    """Return depth in floats from a PNG that stores a / z + b."""
     counts, (scale, shift) = png_depth(png), curve
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        meters = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
-    return _counts_of(np.where(counts > 0, meters, 0), unit_m)
+        numbers = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
+    return np.where(counts > 0, numbers, np.float32(0))
+
+
+def gray(data: bytes) -> UInt8[np.ndarray, "height width"]:
+    """Return a complete PNG or JPEG as gray."""
+    return _decoded(data, cv2.IMREAD_GRAYSCALE)
 
 
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
     """Return the counts of a complete 16-bit gray PNG."""
-    encoded_size(data)
     if not data.startswith(SIGNATURE):
         raise TruncatedError(
             "depth as a JPEG, which has 8 bits and changes them; write 16-bit gray PNG"
         )
     if data[24:26] != b"\x10\x00":
+        encoded_size(data)
         raise TruncatedError(
             f"a depth PNG of {data[24]} bits and color type {data[25]}; 16-bit gray is depth"
         )
-    try:
-        counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
-    if counts is None or counts.dtype != np.uint16 or counts.ndim != 2:
+    counts = _decoded(data, cv2.IMREAD_UNCHANGED)
+    if counts.dtype != np.uint16 or counts.ndim != 2:
         raise TruncatedError("a depth picture that cannot be decoded")
     return counts
 

@@ -14,8 +14,10 @@ class ImportOptions:
         color_topic: topic of color; found by the usual names by default.
         without_color: import depth alone.
         depth_unit_m: meters per unit of depth, if the source does not say (0.001 = mm).
-        intrinsics: JSON file with the intrinsics, if the source has none.
+        intrinsics: JSON file with width, height, fx, fy, cx, cy, if the source has none.
         fps: pictures per second, for folders without time stamps.
+        stamps: time of a picture: the stamp in its header, or when it was written.
+        color_offset_s: time to add to the stamps of color [s], if it has a clock of its own.
         tolerance_s: largest time difference of color and depth [s]; half the time between depth
             pictures by default.
         world_from_camera: JSON file with the color camera's pose in the world, 4 x 4, meters, and
@@ -27,6 +29,7 @@ class ImportOptions:
         picker_topic: topic of the picker's tip: PoseStamped, PointStamped, Odometry, ...
         picker_frame: TF frame of the picker's tip.
         gripper_topic: topic of the gripper's state: Bool, a number, or finger joints.
+        gripper_joints: joints of the gripper in that topic, if their names do not tell.
         gripper_closed_below: value below which that number (joints: their sum [m]) means closed.
         actions: first and last frame of every action, such as 10-50 60-90; from the gripper by
             default.
@@ -41,6 +44,8 @@ class ImportOptions:
     depth_unit_m: float | None = None
     intrinsics: Path | None = None
     fps: float | None = None
+    stamps: Literal["header", "written"] = "header"
+    color_offset_s: float | None = None
     tolerance_s: float | None = None
     world_from_camera: Path | None = None
     world_frame: str | None = None
@@ -49,6 +54,7 @@ class ImportOptions:
     picker_topic: str | None = None
     picker_frame: str | None = None
     gripper_topic: str | None = None
+    gripper_joints: tuple[str, ...] = ()
     gripper_closed_below: float | None = None
     actions: tuple[str, ...] = ()
     cloth: Literal["towel", "tshirt", "trousers", "other"] = "other"

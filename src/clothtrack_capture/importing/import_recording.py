@@ -1,10 +1,12 @@
 """`clothtrack import`: conversion of another program's recording, frame by frame."""
 
 import os
+import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,22 +23,22 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
-from clothtrack.recordings.violation import DOCUMENT
-from clothtrack_capture.importing.bag_walk import is_bag
+from clothtrack.recordings.violation import DOCUMENT, Violation
+from clothtrack_capture.extra import require_capture
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import ImportReport, report_of
 from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
-from clothtrack_capture.importing.kinect import KinectSource, is_kinect
 from clothtrack_capture.importing.packed_pictures import PackedPicture
-from clothtrack_capture.importing.pairing import Pair, pair
+from clothtrack_capture.importing.pairing import LARGEST_TOLERANCE_S, Pair, pair
 from clothtrack_capture.importing.picker_paths import add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
 from clothtrack_capture.importing.registration import Registration
-from clothtrack_capture.importing.ros_bags import BagSource, bag_files
-from clothtrack_capture.importing.source import Content, Source, Streams
+from clothtrack_capture.importing.source import Content, Source, StreamFrame, Streams, listed
+from clothtrack_capture.importing.times import timed
+from clothtrack_capture.importing.units import DepthUnit, measured_unit
 
-_LARGEST_TOLERANCE_S = 1.0
 _MOST_WORKERS = 4
+_BAG = re.compile(r"\.(db3|mcap|bag)( |$)")
 
 
 CAMERA = "camera"
@@ -54,19 +56,23 @@ def open_source(path: Path, options: ImportOptions) -> Source:
             f"{path}: is a recording already; use it as it is: clothtrack inspect {path}"
         )
     try:
-        if path.is_dir():
-            if bag_files(path):
-                return BagSource(path, options)
+        # Pictures need none of the libraries of bags and Kinect files.
+        if path.is_dir() and not _BAG.search(" ".join(file.name for file in path.iterdir())):
             if is_picture_folder(path):
                 return FolderSource(path, options)
-            seen = ", ".join(sorted(file.name for file in path.iterdir())[:10]) or "nothing"
+            seen = listed(sorted(file.name for file in path.iterdir()), 10) or "nothing"
             raise InvalidRecordingError(
                 f"{path}: neither .mcap, .db3 or .bag files nor a folder depth/ are in it (there: "
                 f"{seen}); see docs/import.md"
             )
-        if is_kinect(path):
+        require_capture()
+        from clothtrack_capture.importing.bag_walk import is_bag
+        from clothtrack_capture.importing.kinect import KinectSource, is_kinect
+        from clothtrack_capture.importing.ros_bags import BagSource
+
+        if path.is_file() and is_kinect(path):
             return KinectSource(path, options)
-        if is_bag(path):
+        if path.is_dir() or is_bag(path):
             return BagSource(path, options)
     except OSError as error:
         raise StorageError.of(error) from error
@@ -102,55 +108,103 @@ def import_recording(
     opened = open_source(source, options)
     try:
         streams = opened.streams
-        pairing = pair(source, streams.depth, streams.color, options.tolerance_s)
-        start_ns = pairing.pairs[0].depth.time_ns
+        by_name = {"depth": streams.depth}
+        if streams.color is not None:
+            by_name["color"] = streams.color
+        frames, notes = timed(source, by_name, options)
+        pairing = pair(source, frames["depth"], frames.get("color"), options.tolerance_s,
+                       color_offset_s=options.color_offset_s or 0.0)  # fmt: skip
+        first_ns, last_ns = (pairing.pairs[k].depth.time_ns for k in (0, -1))
+        unit = measured_unit(
+            source, streams.unit, (partial(_numbers, opened, one.depth) for one in pairing.pairs),
+            streams.ask_unit,
+        )  # fmt: skip
         pose, table = _world(options, streams)
         known = pose is not None
         pose = np.eye(4) if pose is None else pose
         paths, text = placed_paths(
-            source, streams, options.picker_csv, options.picker_clock, pose=pose, start_ns=start_ns,
-            posed=known,
-        )  # fmt: skip
-        registration = Registration(streams.calibration)
-        camera = _camera(source, registration, CAMERA, pose)
+            source, streams, options, pose=pose, first_ns=first_ns, last_ns=last_ns, posed=known
+        )
+        registration = Registration(streams.calibration, unit.stored_m)
+        camera = _camera(source, registration, streams, pose)
         cloth = ClothDescription(kind=options.cloth, color=options.cloth_color)
-        with RecordingWriter(
+        with _said_of_the_source(source, streams, unit, options), RecordingWriter(
             folder,
             [camera],
-            {camera.name: streams.calibration.depth_unit_m},
+            {camera.name: unit.stored_m},
             table=table,
             cloth=cloth,
-            provenance=_provenance(source, streams),
-        ) as writer:
-            job = _Job(opened, registration)
+            provenance=_provenance(source, streams, unit),
+        ) as writer:  # fmt: skip
+            masks = {mask.time_ns: mask for mask in streams.mask}
+            job = _Job(opened, registration, unit, masks)
             times, damaged = _write_frames(
-                writer,
-                job,
-                camera.name,
-                pairing.pairs,
-                workers=_workers(options),
-                progress=progress,
+                writer, job, pairing.pairs, workers=_workers(options), progress=progress
             )
             if not times:
                 reason, count = damaged.most_common(1)[0]
                 raise InvalidRecordingError(
                     f"{source}: none of {count} frames can be decoded: {reason}"
+                    + _lens_remedy(reason, streams, options)
                 )
-            actions, notes = add_pickers(writer, paths, times, options.actions)
+            actions, more = add_pickers(writer, paths, times, options.actions)
     finally:
         opened.close()
+    if unit.swapped:
+        notes.append("the two bytes of each depth stood in the wrong order and were exchanged")
     return report_of(
-        source, folder, streams, pairing, registration,
+        source, folder, streams, pairing, registration, unit,
         camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
-        notes=[*text, *notes], posed=known, table=table is not None,
-        cloth=cloth,
+        notes=[*notes, *text, *more], posed=known, table=table is not None,
+        cloth=cloth, masks=job.masks,
     )  # fmt: skip
+
+
+def _numbers(source: Source, frame: StreamFrame) -> np.ndarray:
+    content = source.picture("depth", frame)()
+    return content.decode() if isinstance(content, PackedPicture) else content
+
+
+@contextmanager
+def _said_of_the_source(
+    source: Path, streams: Streams, unit: DepthUnit, options: ImportOptions
+) -> Iterator[None]:
+    """Say what is wrong with the finished recording in terms of the source and the options."""
+    try:
+        yield
+    except InvalidRecordingError as error:
+        if error.violation is None:
+            raise
+        one: Violation = error.violation
+        lens = f"the intrinsics ({streams.calibration.origin})"
+        pickers = options.picker_csv or options.picker_topic or options.picker_frame
+        for pattern, name, option in (
+            ("depth_unit_m|median depth", f"the unit of depth ({unit.origin})", "--depth-unit-m"),
+            (r"cameras|^size", lens, "--intrinsics FILE"),
+            ("cloth", "--cloth-color", ""),
+            ("^table", f"the table ({options.world_from_camera})", "another --world-from-camera"),
+            ("picker", f"the picker's path ({pickers})", "meters in the world's frame"),
+        ):
+            if re.search(pattern, f"{one.field} {one.file}"):
+                value = f"{one.field.rpartition('.')[2]} {one.value}".strip()
+                remedy = f"give {option}" if option else one.remedy
+                raise InvalidRecordingError(
+                    f"{source}: {name}: {value}: {one.problem}; {remedy}"
+                ) from error
+        raise InvalidRecordingError(f"{source}: {one.message}") from error
+
+
+def _lens_remedy(reason: str, streams: Streams, options: ImportOptions) -> str:
+    if "the intrinsics are for" not in reason:
+        return ""
+    if options.intrinsics is not None:
+        return f"; correct width and height in {options.intrinsics}, or give the file of this size"
+    return f" ({streams.calibration.origin}); give those of this size with --intrinsics FILE"
 
 
 def _write_frames(
     writer: RecordingWriter,
     job: "_Job",
-    name: str,
     pairs: Sequence[Pair],
     *,
     workers: int,
@@ -165,41 +219,60 @@ def _write_frames(
             damaged[str(result)] += 1
         else:
             time_s = (moment.depth.time_ns - start_ns) / 1e9
-            color = None if result.color is None else {name: result.color}
-            writer.add_encoded_frame(time_s, color=color, depth={name: result.depth})
+            writer.add_encoded_frame(time_s, {kind: {CAMERA: png} for kind, png in result.items()})
             times.append(time_s)
         if progress is not None:
             progress(f"frame {done}/{len(pairs)}", done, len(pairs))
     return times, damaged
 
 
-@dataclass(frozen=True, eq=False)
-class _Encoded:
-    depth: bytes
-    color: bytes | None
+_Encoded = dict[str, bytes]
+"""The PNG of each kind of picture of a frame."""
 
 
 class _Job:
     """A job that reads a pair, and decodes, registers and encodes it in another thread."""
 
-    def __init__(self, source: Source, registration: Registration) -> None:
-        self._source, self._registration = source, registration
+    def __init__(
+        self,
+        source: Source,
+        registration: Registration,
+        unit: DepthUnit,
+        masks: dict[int, StreamFrame],
+    ) -> None:
+        self._source, self._registration, self._unit = source, registration, unit
+        self._masks, self.masks = masks, 0
 
     def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
         """Read the bytes here, in file order, and do the rest in the pool."""
+        frames = {"depth": moment.depth}
+        if moment.color is not None:
+            frames["color"] = moment.color
+        mask = self._masks.get(moment.depth.time_ns)
+        if mask is not None:
+            frames["mask"] = mask
+            self.masks += 1
         try:
-            depth = self._source.depth(moment.depth)
-            color = None if moment.color is None else self._source.color(moment.color)
+            read = {kind: self._source.picture(kind, frame) for kind, frame in frames.items()}
         except TruncatedError as error:
             return error
-        return pool.submit(self._run, depth, color)
+        return pool.submit(self._run, read)
 
-    def _run(self, depth: Callable[[], Content], color: Callable[[], Content] | None) -> _Encoded:
-        registration = self._registration
-        packed = _png_of(depth(), registration.keeps_depth, registration.depth)
-        if color is None:
-            return _Encoded(packed, None)
-        return _Encoded(packed, _png_of(color(), registration.keeps_color, registration.color))
+    def _run(self, read: dict[str, Callable[[], Content]]) -> _Encoded:
+        to, unit = self._registration, self._unit
+        how = {
+            "depth": (
+                to.keeps_depth if unit.copied else _never,
+                lambda numbers: to.depth(unit.counts(numbers)),
+            ),
+            "color": (to.keeps_color, to.color),
+            "mask": (_never, to.mask),
+        }
+        return {kind: _png_of(decode(), *how[kind]) for kind, decode in read.items()}
+
+
+def _never(size: tuple[int, int]) -> bool:  # noqa: ARG001
+    return False
 
 
 def _png_of(
@@ -259,9 +332,9 @@ def _check(options: ImportOptions, folder: Path) -> None:
     ):
         if value is not None and not 0 < value < 1e6:
             raise InvalidConfigError(f"{name} is {value}; it must be positive")
-    if (tolerance_s := options.tolerance_s) is not None and tolerance_s > _LARGEST_TOLERANCE_S:
+    if (tolerance_s := options.tolerance_s) is not None and tolerance_s > LARGEST_TOLERANCE_S:
         raise InvalidConfigError(
-            f"--tolerance-s is {tolerance_s:g} s, at most {_LARGEST_TOLERANCE_S:g}; pictures "
+            f"--tolerance-s is {tolerance_s:g} s, at most {LARGEST_TOLERANCE_S:g}; pictures "
             "that far apart do not belong together; give seconds"
         )
     if options.picker_csv and (options.picker_topic or options.picker_frame):
@@ -306,19 +379,22 @@ def _table(file: Path, content: object) -> Table | None:
 
 
 def _camera(
-    source: Path, registration: Registration, name: str, pose: Float[np.ndarray, "4 4"]
+    source: Path, registration: Registration, streams: Streams, pose: Float[np.ndarray, "4 4"]
 ) -> Camera:
     try:
-        return registration.intrinsics.camera(name, pose)
+        return registration.intrinsics.camera(CAMERA, pose)
     except InvalidRecordingError as error:
-        raise InvalidRecordingError(f"{source}: {error}; or give --intrinsics FILE") from error
+        raise InvalidRecordingError(
+            f"{source}: the intrinsics ({streams.calibration.origin}): {error}; give --intrinsics "
+            "FILE"
+        ) from error
 
 
-def _provenance(source: Path, streams: Streams) -> dict[str, object]:
+def _provenance(source: Path, streams: Streams, unit: DepthUnit) -> dict[str, object]:
     return {
         "imported_from": source.name,
         "format": streams.kind,
         "streams": dict(streams.origins),
-        "depth_unit_origin": streams.calibration.unit_origin,
+        "depth_unit_origin": unit.origin,
         "registered_by_import": not streams.calibration.registered,
     }

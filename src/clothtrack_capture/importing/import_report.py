@@ -10,6 +10,7 @@ from clothtrack.recordings.recording import ClothDescription, PickAndPlace, Pick
 from clothtrack_capture.importing.pairing import Pairing
 from clothtrack_capture.importing.registration import Registration
 from clothtrack_capture.importing.source import Streams
+from clothtrack_capture.importing.units import DepthUnit
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ def report_of(
     streams: Streams,
     pairing: Pairing,
     registration: Registration,
+    unit: DepthUnit,
     *,
     camera: Camera,
     times: Sequence[float],
@@ -109,6 +111,7 @@ def report_of(
     posed: bool,
     table: bool,
     cloth: ClothDescription,
+    masks: int,
 ) -> ImportReport:
     """Return the report of an import."""
     duration = times[-1] - times[0]
@@ -124,8 +127,8 @@ def report_of(
             + ("" if posed else ", pose not known: its frame stands in for the world")
         ),
         streams=streams.origins,
-        depth_unit_m=streams.calibration.depth_unit_m,
-        depth_unit_origin=streams.calibration.unit_origin,
+        depth_unit_m=unit.stored_m,
+        depth_unit_origin=unit.origin + ", stored in 0.1 mm" * unit.is_float,
         registration=_registration(streams, registration),
         tolerance_s=pairing.tolerance_s,
         worst_apart_s=pairing.worst_s,
@@ -135,7 +138,7 @@ def report_of(
         actions=[(action.first_frame, action.last_frame) for action in actions],
         missing=_missing(
             folder, streams, pickers=bool(paths), actions=bool(actions), posed=posed,
-            table=table, cloth=cloth,
+            table=table, cloth=cloth, masks=masks,
         ),
         next_command=(
             f"clothtrack inspect {folder}"
@@ -188,6 +191,7 @@ def _missing(
     posed: bool,
     table: bool,
     cloth: ClothDescription,
+    masks: int,
 ) -> list[str]:
     missing = []
     if not posed:
@@ -220,7 +224,7 @@ def _missing(
             if cloth.kind == "other"
             else f"a template: {cloth.kind} are tracked from one (clothtrack garment)"
         )
-    if streams.color is not None and cloth.color is None:
+    if streams.color is not None and cloth.color is None and not masks:
         missing.append(
             f"which pixels are cloth: clothtrack segment {folder} by a click, or its color by "
             "--cloth-color NAME, or cloth.color in recording.json"

@@ -105,8 +105,7 @@ class Intrinsics:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     def corner_rays(self) -> Float[np.ndarray, "rows columns 2"]:
-        """Return the ray (x / z, y / z) of every pixel corner, one row and column more than pixels.
-        """
+        """Return the ray (x / z, y / z) of every pixel corner, one row and column more."""
         columns, rows = np.meshgrid(
             np.arange(self.width + 1) - 0.5, np.arange(self.height + 1) - 0.5
         )

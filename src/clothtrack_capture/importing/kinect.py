@@ -15,6 +15,7 @@ from clothtrack_capture.importing.kinect_calibration import kinect_intrinsics
 from clothtrack_capture.importing.matroska import MAGIC, Matroska, Track
 from clothtrack_capture.importing.packed_pictures import packed_color
 from clothtrack_capture.importing.source import Content, StereoCalibration, StreamFrame, Streams
+from clothtrack_capture.importing.units import DepthUnit
 
 _CALIBRATION = "calibration.json"
 _RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV2RGB_YUY2),
@@ -40,14 +41,11 @@ class KinectSource:
             self.close()
             raise
 
-    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes the counts of a depth picture."""
+    def picture(self, kind: str, frame: StreamFrame) -> Callable[[], Content]:
+        """Return a function that decodes a picture."""
         data = self._file.fetch(frame.place)
-        return partial(_depth, data, self._depth_track.width, self._depth_track.height)
-
-    def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes red, green and blue."""
-        data = self._file.fetch(frame.place)
+        if kind == "depth":
+            return partial(_depth, data, self._depth_track.width, self._depth_track.height)
         assert self._color_track is not None
         return partial(_color, data, self._color_track)
 
@@ -76,7 +74,8 @@ class KinectSource:
             )
         self._depth_track = depth_track
         self._color_track = None if options.without_color else self._track("COLOR")
-        calibration = self._calibration(options)
+        calibration, lens_notes = self._calibration(options)
+        notes += lens_notes
         color = None if self._color_track is None else frames.get(self._color_track.number, [])
         origins = {"depth": f"track {depth_track.name}"}
         if self._color_track is not None:
@@ -86,6 +85,10 @@ class KinectSource:
         return Streams(
             kind="Azure Kinect / Orbbec Femto recording (Matroska)",
             calibration=calibration,
+            unit=DepthUnit(1e-3, "the format: millimeters")
+            if options.depth_unit_m is None
+            else DepthUnit(options.depth_unit_m, "given by --depth-unit-m"),
+            ask_unit="",
             depth=frames.get(depth_track.number, []),
             color=color,
             origins=origins,
@@ -104,13 +107,10 @@ class KinectSource:
                 return track
         return None
 
-    def _calibration(self, options: ImportOptions) -> StereoCalibration:
-        unit, origin = 1e-3, "the format: millimeters"
-        if options.depth_unit_m is not None:
-            unit, origin = options.depth_unit_m, "given by --depth-unit-m"
+    def _calibration(self, options: ImportOptions) -> tuple[StereoCalibration, list[str]]:
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            return file.calibration(unit, origin, with_color=self._color_track is not None)
+            return file.calibration(with_color=self._color_track is not None), file.notes
         content = self._file
         name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
         text = content.attachments.get(name, content.attachments.get(_CALIBRATION))
@@ -126,7 +126,7 @@ class KinectSource:
             (self._depth_track.width, self._depth_track.height),
             None if track is None else (track.width, track.height),
         )
-        return StereoCalibration(depth, color, pose, unit, origin)
+        return StereoCalibration(depth, color, pose, f"the attached {name}"), []
 
 
 def _depth(data: bytes, width: int, height: int) -> np.ndarray:

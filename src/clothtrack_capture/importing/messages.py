@@ -6,6 +6,7 @@ in all distributions of ROS 2; ROS 1 has its own.
 
 import re
 import struct
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -31,6 +32,7 @@ _STAMP_BYTES = 12
 # Headers of these messages start with a stamp.
 _STAMPED = re.compile(r"^(sensor_msgs/msg/|geometry_msgs/msg/\w+Stamped$|nav_msgs/msg/Odometry$)")
 _BROWN = {"", "plumb_bob", "rational_polynomial", "none", "brown conrady", "modified brown conrady"}
+_FINGER = re.compile(r"finger|grip|jaw|knuckle|hand|claw", re.IGNORECASE)
 _FISHEYE = {"equidistant", "fisheye", "kannala brandt4"}
 
 
@@ -66,14 +68,14 @@ def decode(topic: Topic, data: bytes) -> Any:
         raise TruncatedError(f"{topic.name}: not a {topic.kind}") from error
 
 
-def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
-    """Return the time in the header of a stamped message [ns]."""
+def stamp_ns(container: Container, topic: Topic, place: Place) -> int:
+    """Return the time in the header of a stamped message [ns]; 0 if it has none."""
     if not _STAMPED.match(topic.kind):
-        return log_ns
+        return 0
     data = container.fetch(place, 16)
     if data.startswith(ZSTD_MAGIC):
         data = payload(container, place)[:16]
-    return header_stamp_ns(topic, data) or log_ns
+    return header_stamp_ns(topic, data)
 
 
 def header_stamp_ns(topic: Topic, data: bytes) -> int:
@@ -97,17 +99,35 @@ def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, fl
     return "" if header is None else str(header.frame_id).lstrip("/"), (x, y, z)
 
 
-def grip_of(message: Any) -> bool | float | None:
-    """Return whether a gripper is closed (Bool), or its opening, or None if neither is given."""
-    value = message
+def gripper_joints(names: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
+    """Return the joints of a gripper among those of a JointState, as asked for or by their names.
+
+    Where no name tells, two joints or one are the gripper's.
+    """
+    if asked:
+        return [name for name in names if name in asked]
+    fingers = [name for name in names if _FINGER.search(name)]
+    return fingers or list(names if len(names) <= 2 else ())
+
+
+def grip_of(message: Any, joints: Sequence[str] = ()) -> bool | float | None:
+    """Return whether a gripper is closed (Bool), or its opening, or None if neither is given.
+
+    The opening of a JointState is the sum of the gripper's joints: those asked for, or by name.
+    """
+    names, value = list(getattr(message, "name", ())), message
     for name in ("position", "data"):
         value = getattr(value, name, value)
     if isinstance(value, bool | np.bool_):
         return bool(value)
     try:
-        return float(np.sum(np.asarray(value, dtype=np.float64)))
+        numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError):
         return None
+    if names and len(names) == len(numbers):
+        chosen = gripper_joints(names, joints)
+        numbers = numbers[[name in chosen for name in names]]
+    return float(np.sum(numbers)) if numbers.size else None
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
@@ -143,6 +163,15 @@ def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
         )  # fmt: skip
     except InvalidRecordingError as error:
         raise InvalidRecordingError(f"{topic}: {error}") from error
+
+
+def lens_words(info: Any) -> str:
+    """Return the numbers of a CameraInfo that place a pixel, as text."""
+    words = [f"{int(info.width)} x {int(info.height)}"]
+    for name in ("k", "d", "p"):
+        values = np.asarray(getattr(info, name, getattr(info, name.upper(), ()))).ravel()
+        words.append(f"{name.upper()} {np.round(values, 6).tolist()}")
+    return ", ".join(words)
 
 
 def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:

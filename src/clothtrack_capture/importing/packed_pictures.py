@@ -11,7 +11,7 @@ from jaxtyping import Shaped
 
 from clothtrack.errors import TruncatedError
 from clothtrack.recordings.pictures import SIGNATURE, png_chunks
-from clothtrack_capture.importing.images import compressed_color, encoded_size, png_depth
+from clothtrack_capture.importing.images import compressed_color, encoded_size, gray, png_depth
 
 _DEPTH, _COLOR = b"\x10\x00\x00\x00\x00", b"\x08\x02\x00\x00\x00"
 _SAMPLE_BYTES = {_DEPTH: 2, _COLOR: 3}
@@ -75,6 +75,11 @@ class PackedPicture:
 def packed_depth(data: bytes) -> PackedPicture:
     """Return a packed depth picture, a 16-bit gray PNG."""
     return PackedPicture(data, _DEPTH, png_depth)
+
+
+def packed_mask(data: bytes) -> PackedPicture:
+    """Return a packed mask, a PNG or JPEG that is brighter than black on the cloth."""
+    return PackedPicture(data, b"", lambda data: 255 * (gray(data) > 0).astype(np.uint8))
 
 
 def packed_color(data: bytes) -> PackedPicture:

@@ -9,6 +9,7 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack_capture.importing.source import StreamFrame
 
+LARGEST_TOLERANCE_S = 1.0
 _LONE_TOLERANCE_NS = 20e6
 
 
@@ -48,18 +49,21 @@ def pair(
     depth: Sequence[StreamFrame],
     color: Sequence[StreamFrame] | None,
     tolerance_s: float | None,
+    *,
+    color_offset_s: float = 0.0,
 ) -> Pairing:
-    """Pair depth and color by time stamp.
+    """Pair depth and color by time: each the other's nearest, within the tolerance.
 
     Args:
         path: path of the source, for error messages.
         depth: depth pictures in any order.
         color: color pictures in any order, or None if there is no color stream.
         tolerance_s: largest time difference [s]; half the time between depth pictures by default.
+        color_offset_s: what the user had added to the stamps of color [s].
     """
     if not depth:
         raise InvalidRecordingError(
-            f"{path}: not one whole depth picture; record it again or name another --depth-topic"
+            f"{path}: not one whole depth picture; record it again, or name others"
         )
     ordered = sorted(depth, key=lambda frame: frame.time_ns)
     single = [
@@ -83,6 +87,9 @@ def pair(
     chosen = np.flatnonzero(mutual & (apart <= tolerance))
     advice = _advice(apart[mutual & (apart > tolerance)])
     if not len(chosen):
+        if not advice:
+            offset_s = color_offset_s + (int(times[0]) - int(other_times[0])) / 1e9
+            advice = f"--color-offset-s {offset_s:.3f} if color has a clock of its own"
         raise InvalidRecordingError(
             f"{path}: no color picture within {tolerance / 1e6:.1f} ms of a depth picture; the "
             f"nearest is {apart.min() / 1e6:.1f} ms away; give {advice}, or --without-color"
@@ -103,6 +110,8 @@ def _advice(apart: np.ndarray) -> str:
     if not len(apart):
         return ""
     tolerance_ms = float(np.ceil(np.median(apart) / 1e6 + 0.5))
+    if tolerance_ms > 1e3 * LARGEST_TOLERANCE_S:
+        return ""
     count = int((apart <= tolerance_ms * 1e6).sum())
     frames = "1 frame" if count == 1 else f"{count} frames"
     return (

@@ -23,7 +23,7 @@ class Registration:
     bit by bit.
     """
 
-    def __init__(self, calibration: StereoCalibration) -> None:
+    def __init__(self, calibration: StereoCalibration, depth_unit_m: float) -> None:
         """Precompute the rays of every pixel."""
         self._calibration = calibration
         self.intrinsics: Intrinsics = (calibration.color or calibration.depth).rectified()
@@ -34,7 +34,7 @@ class Registration:
             ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
             # The projections include the intrinsics: pixels times depth, and depth, in units.
             project = self.intrinsics.matrix @ calibration.color_from_depth[:3]
-            shift = project[:, 3] / calibration.depth_unit_m
+            shift = project[:, 3] / depth_unit_m
             self._shift = wp.vec3(*shift.tolist())
             with np.errstate(over="ignore", invalid="ignore"):
                 corners = (ahead @ project[:, :3].T).astype(np.float32)
@@ -81,6 +81,12 @@ class Registration:
             # Keep the low 16 bits, which are 0 where nothing was painted.
             return self._painted.astype(np.uint16)
 
+    def mask(self, picture: UInt8[np.ndarray, "_ _"]) -> UInt8[np.ndarray, "_ _"]:
+        """Return a mask of the color picture without distortion."""
+        intrinsics = self._calibration.color or self._calibration.depth
+        _check_size(picture.shape[1::-1], intrinsics)
+        return intrinsics.straighten(picture, nearest=True)
+
     def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
         """Return the color picture without distortion."""
         intrinsics = self._calibration.color or self._calibration.depth
@@ -92,6 +98,5 @@ def _check_size(size: tuple[int, ...], intrinsics: Intrinsics) -> None:
     if size != intrinsics.size:
         raise TruncatedError(
             f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for "
-            f"{intrinsics.width} x {intrinsics.height}; give those of this size with "
-            "--intrinsics FILE"
+            f"{intrinsics.width} x {intrinsics.height}"
         )

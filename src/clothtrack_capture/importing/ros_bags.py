@@ -13,7 +13,7 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError, Truncat
 from clothtrack_capture.importing import images
 from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.bag_pickers import bag_paths
-from clothtrack_capture.importing.bag_walk import frame_of, open_parts, walk
+from clothtrack_capture.importing.bag_walk import frame_of, in_time_order, open_parts, walk
 from clothtrack_capture.importing.containers import Container, Topic
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
@@ -29,15 +29,18 @@ from clothtrack_capture.importing.source import (
 )
 from clothtrack_capture.importing.topics import (
     COMPRESSED,
+    PNG_DEPTH,
     base_name,
     choose_color,
     choose_depth,
     info_topic,
+    left_out,
 )
+from clothtrack_capture.importing.units import DepthUnit
 
 _PART = re.compile(r"\.(db3|mcap|bag)$")
-# Float depth is stored in tenths of a millimeter, finer than any sensor and up to 6.5 m.
-_FLOAT_UNIT_M = 1e-4
+# A camera that moves by more during a recording is not a fixed one.
+_MOST_MOVED_M, _MOST_TURNED = 0.01, np.radians(1.0)
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -56,33 +59,33 @@ class BagSource:
         self._path = path
         self._parts, words = open_parts(bag_files(path))
         try:
+            self._parts = in_time_order(self._parts)
             self._walk = walk(
-                self._parts, pose_topic=options.picker_topic, grip_topic=options.gripper_topic
-            )
-            if not self._walk.topics:
+                path, self._parts, pose_topic=options.picker_topic,
+                grip_topic=options.gripper_topic, written=options.stamps == "written",
+            )  # fmt: skip
+            topics = self._walk.topics
+            if not topics:
                 raise InvalidRecordingError(f"{path}: no topic at all; record or copy it again")
-            self._depth_topic = choose_depth(path, self._walk.topics, options.depth_topic)
+            self._depth_topic = choose_depth(path, topics, options.depth_topic, self._encoding_of)
             self._color_topic = (
                 None
                 if options.without_color
-                else choose_color(path, self._walk.topics, self._depth_topic, options.color_topic)
+                else choose_color(
+                    path, topics, self._depth_topic, options.color_topic, self._encoding_of
+                )
             )
-            self._encoding = self._first_encoding()
-            self._calibration = self._find_calibration(options)
             self.streams = self._find_streams(words, options)
         except BaseException:
             self.close()
             raise
 
-    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes the counts of a depth picture."""
+    def picture(self, kind: str, frame: StreamFrame) -> Callable[[], Content]:
+        """Return a function that decodes a picture."""
         data = payload(self._parts[frame.place.part], frame.place)
-        return partial(_decode_depth, self._depth_topic, data, self._calibration.depth_unit_m)
-
-    def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes red, green and blue."""
+        if kind == "depth":
+            return partial(_decode_depth, self._depth_topic, data)
         assert self._color_topic is not None
-        data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_color, self._color_topic, data)
 
     def close(self) -> None:
@@ -99,55 +102,57 @@ class BagSource:
             )
         return self._parts[frames[0].place.part], frames[0]
 
-    def _first_encoding(self) -> str:
-        """Return the encoding of depth, from the first readable picture."""
-        self._first(self._depth_topic)
-        for frame in self._walk.frames[self._depth_topic.name]:
+    def _encoding_of(self, topic: Topic) -> str:
+        """Return the encoding of a topic's pictures, from the first readable one; "" if none is."""
+        for frame in self._walk.frames.get(topic.name, ()):
             try:
                 data = payload(self._parts[frame.place.part], frame.place)
-                message = decode(self._depth_topic, data)
+                message = decode(topic, data)
             except TruncatedError:
                 continue
-            packed = self._depth_topic.kind == COMPRESSED
-            return str(message.format if packed else message.encoding).lower()
-        raise InvalidRecordingError(
-            f"{self._path}: no picture of {self._depth_topic.name} can be read; name another "
-            "topic with --depth-topic"
-        )
+            if topic.kind != COMPRESSED:
+                return str(message.encoding).lower()
+            form, start = str(message.format).lower(), bytes(message.data[:32])
+            is_depth = start.startswith(images.SIGNATURE) and start[24:26] == b"\x10\x00"
+            return PNG_DEPTH if is_depth and "32fc1" not in form else form
+        return ""
 
-    def _find_calibration(self, options: ImportOptions) -> StereoCalibration:
-        unit_m, origin = self._find_unit(options)
+    def _find_calibration(self, options: ImportOptions) -> tuple[StereoCalibration, list[str]]:
+        with_color = self._color_topic is not None
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            return file.calibration(unit_m, origin, with_color=self._color_topic is not None)
+            return file.calibration(with_color=with_color), file.notes
         depth = self._find_intrinsics(self._depth_topic)
         if self._color_topic is None:
-            return StereoCalibration(depth, None, np.eye(4), unit_m, origin)
+            return StereoCalibration(depth, None, np.eye(4), "camera_info"), []
         try:
             pose = self._find_pose(self._depth_topic, self._color_topic)
         except TruncatedError as error:
             raise InvalidRecordingError(
                 f"{self._path}: {error}; give the pose with --intrinsics FILE"
             ) from error
-        return StereoCalibration(
-            depth, self._find_intrinsics(self._color_topic), pose, unit_m, origin
-        )
+        color = self._find_intrinsics(self._color_topic)
+        return StereoCalibration(depth, color, pose, "camera_info"), []
 
-    def _find_unit(self, options: ImportOptions) -> tuple[float, str]:
-        if options.depth_unit_m is not None:
-            return options.depth_unit_m, "given by --depth-unit-m"
+    def _find_unit(self, options: ImportOptions) -> DepthUnit | None:
         topic = self._depth_topic
+        self._first(topic)
+        if options.depth_unit_m is not None:
+            return DepthUnit(options.depth_unit_m, "given by --depth-unit-m")
         unit_m = realsense.depth_unit_m(self._walk.heard, topic)
         if unit_m is not None and unit_m > 0:
-            return unit_m, "the sensor's option Depth Units in the recording"
-        if self._encoding.startswith("32fc1"):
-            return _FLOAT_UNIT_M, "encoding 32FC1: meters (REP 118), stored in 0.1 mm"
-        if self._encoding.startswith("16uc1") and not realsense.is_stream(topic):
-            return 1e-3, "encoding 16UC1: millimeters (REP 118)"
-        raise InvalidRecordingError(
-            f"{self._path}: {topic.name} has encoding {self._encoding!r} and nothing says how long "
-            "a unit is; give --depth-unit-m (0.001 for millimeters)"
-        )
+            for name in self._walk.changed.keys() & self._walk.heard.keys():
+                raise InvalidRecordingError(
+                    f"{self._path}: {name} changes during the recording "
+                    f"({self._walk.changed[name]}); give --depth-unit-m for all, or cut it there"
+                )
+            return DepthUnit(unit_m, "the sensor's option Depth Units in the recording")
+        encoding = self._encoding_of(topic)
+        if encoding.startswith("32fc1"):
+            return DepthUnit(1.0, "encoding 32FC1: meters (REP 118)")
+        if encoding.startswith(("16uc1", PNG_DEPTH)) and not realsense.is_stream(topic):
+            return DepthUnit(1e-3, "encoding 16UC1: millimeters (REP 118)")
+        return None
 
     def _find_intrinsics(self, image: Topic) -> Intrinsics:
         topic = info_topic(self._walk.topics, image)
@@ -156,6 +161,12 @@ class BagSource:
             raise InvalidRecordingError(
                 f"{self._path}: no camera_info belongs to {image.name} (there: {known}); give "
                 "--intrinsics FILE"
+            )
+        if topic.name in self._walk.changed:
+            raise InvalidRecordingError(
+                f"{self._path}: {topic.name} changes during the recording "
+                f"({self._walk.changed[topic.name]}); a recording has one lens: cut the bag there, "
+                "or give --intrinsics FILE for all pictures"
             )
         last = base_name(image.name).rpartition("/")[2]
         rectified = "rect" in last and "/device_" not in image.name
@@ -181,27 +192,64 @@ class BagSource:
 
     def _find_streams(self, words: str, options: ImportOptions) -> Streams:
         color = self._color_topic
+        unit = self._find_unit(options)
+        calibration, notes = self._find_calibration(options)
         origins = {"depth": self._depth_topic.name}
         if color is not None:
             self._first(color)
             origins["color"] = color.name
         camera_frame = self._frame(color or self._depth_topic)
+        notes += self._movement(camera_frame, options)
         world = None
         if options.world_frame is not None:
             world = self._world_from_camera(camera_frame, options.world_frame)
         picker = bag_paths(self._path, self._walk, options, camera_frame)
+        used = [*origins.values(), options.picker_topic or "", options.gripper_topic or ""]
+        rest = [topic for topic in self._walk.topics if topic.name in self._walk.frames
+                or topic.kind not in ("sensor_msgs/msg/Image", COMPRESSED)]  # fmt: skip
+        if options.without_color:
+            rest = [topic for topic in rest if topic.name not in self._walk.frames]
         recorder = " of the RealSense SDK" if realsense.is_stream(self._depth_topic) else ""
         return Streams(
             kind=words + recorder,
-            calibration=self._calibration,
+            calibration=calibration,
+            unit=unit,
+            ask_unit=(
+                f"{self._depth_topic.name} has encoding {self._encoding_of(self._depth_topic)!r} "
+                "and nothing says how long a unit is; give --depth-unit-m (0.001 for millimeters)"
+            ),
             depth=self._walk.frames[self._depth_topic.name],
             color=None if color is None else self._walk.frames[color.name],
             origins={**origins, **picker.origins},
-            notes=picker.notes,
+            notes=[*notes, *picker.notes, *left_out(rest, used)],
             paths=picker.paths,
             path_frame=picker.frame,
             path_start_ns=picker.start_ns,
             world_from_camera=world,
+        )
+
+    def _movement(self, camera: str, options: ImportOptions) -> list[str]:
+        """Return a remark where the camera moves in TF; refuse it in a world that was asked for."""
+        tree: Any = self._walk.tree
+        world = options.world_frame or (tree.root(camera) if camera else "")
+        if not camera or world.lstrip("/") == camera or not tree.connects(world, camera):
+            return []
+        times = np.array([frame.time_ns for frame in self._walk.frames[self._depth_topic.name]])
+        poses = tree.lookup(world, camera, times)
+        moved_m = np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1)
+        cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], poses[0, :3, :3]) - 1) / 2
+        turned = np.arccos(np.clip(cosine, -1, 1))
+        if moved_m.max() <= _MOST_MOVED_M and turned.max() <= _MOST_TURNED:
+            return []
+        words = (
+            f"the camera {camera!r} moves by up to {moved_m.max():.3f} m and "
+            f"{np.degrees(turned.max()):.1f} degrees against {world!r}"
+        )
+        if options.world_frame is None:
+            return [f"{words}; a recording has one fixed camera: check that it stood still"]
+        raise InvalidConfigError(
+            f"{self._path}: {words}; a recording has one fixed camera: leave --world-frame out "
+            "if it stood still over the table, or cut the bag where it moves"
         )
 
     def _world_from_camera(self, camera: str, world: str) -> Float[np.ndarray, "4 4"]:
@@ -215,12 +263,12 @@ class BagSource:
         return tree.lookup(world, camera, np.array([frame.time_ns]))[0]
 
 
-def _decode_depth(topic: Topic, data: bytes, unit_m: float) -> Content:
+def _decode_depth(topic: Topic, data: bytes) -> Content:
     message = decode(topic, data)
     if topic.kind == COMPRESSED:
         png, curve = images.depth_png(message)
-        return packed_depth(png) if curve is None else images.inverse_depth(png, curve, unit_m)
-    return images.raw_depth(message, unit_m)
+        return packed_depth(png) if curve is None else images.inverse_depth(png, curve)
+    return images.raw_depth(message)
 
 
 def _decode_color(topic: Topic, data: bytes) -> Content:

@@ -1,4 +1,4 @@
-"""The interface of all sources of recordings."""
+"""What every source of a recording tells, and how its pictures are fetched."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +11,7 @@ from jaxtyping import Float
 from clothtrack.recordings.recording import PickerPath
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.packed_pictures import PackedPicture
+from clothtrack_capture.importing.units import DepthUnit
 
 # Pixels, or an encoded file of them.
 Content = np.ndarray | PackedPicture
@@ -22,12 +23,27 @@ def natural_order(name: str) -> list[tuple[int, str]]:
     return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]
 
 
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Return the names as text, the first of many."""
+    more = [f"and {len(names) - most} more"] if len(names) > most else []
+    return ", ".join([*names[:most], *more])
+
+
 @dataclass(frozen=True, slots=True)
 class StreamFrame:
-    """One picture: its time on the source's clock [ns] and its position in the source."""
+    """One picture of a stream.
+
+    Attributes:
+        time_ns: its time stamp [ns]; without one, the time of writing.
+        place: position in the source.
+        written_ns: when it was written [ns]; None if the source does not tell.
+        stamped: whether it has a time stamp.
+    """
 
     time_ns: int
     place: Any
+    written_ns: int | None = None
+    stamped: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +54,13 @@ class StereoCalibration:
         depth: intrinsics of the depth pictures.
         color: intrinsics of the color pictures; None without color.
         color_from_depth: rigid transform, depth camera to color camera [m].
-        depth_unit_m: meters per unit of the depth pictures.
-        unit_origin: origin of the unit, in words.
+        origin: where they come from, in words.
     """
 
     depth: Intrinsics
     color: Intrinsics | None
     color_from_depth: Float[np.ndarray, "4 4"]
-    depth_unit_m: float
-    unit_origin: str
+    origin: str
 
     @property
     def registered(self) -> bool:
@@ -63,11 +77,14 @@ class Streams:
 
     Attributes:
         kind: name of the format ("ROS 1 bag").
-        calibration: intrinsics and depth unit.
-        depth: all complete depth pictures.
+        calibration: intrinsics.
+        unit: unit of depth as the source or the user tells it; None if nobody does.
+        ask_unit: message where nobody tells the unit.
+        depth: all complete depth pictures, in the order of writing.
         color: all complete color pictures; None without a color stream.
+        mask: masks of the cloth, for the pictures of the same time.
         origins: topic, track or folder that each item came from.
-        notes: description of what was lost or left out.
+        notes: what was decided, lost or left out.
         paths: picker paths in `path_frame`; times [s] count from `path_start_ns`.
         path_frame: description of the frame of `paths`.
         path_start_ns: zero of their times, on the clock of the pictures [ns].
@@ -76,9 +93,12 @@ class Streams:
 
     kind: str
     calibration: StereoCalibration
+    unit: DepthUnit | None
+    ask_unit: str
     depth: Sequence[StreamFrame]
     color: Sequence[StreamFrame] | None
     origins: Mapping[str, str]
+    mask: Sequence[StreamFrame] = ()
     notes: Sequence[str] = ()
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
     path_frame: str = ""
@@ -88,20 +108,15 @@ class Streams:
 
 @runtime_checkable
 class Source(Protocol):
-    """An opened source; `depth` and `color` read bytes and return functions that decode them."""
+    """An opened source; a picture's bytes are read at once and decoded by what is returned."""
 
     @property
     def streams(self) -> Streams:
         """Content of the source."""
         ...
 
-    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes the counts of a depth picture."""
-        ...
-
-    def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """Return a function that decodes red, green and blue; it may be called in another thread.
-        """
+    def picture(self, kind: str, frame: StreamFrame) -> Callable[[], Content]:
+        """Return a function that decodes a picture of "depth", "color" or "mask", in any thread."""
         ...
 
     def close(self) -> None:

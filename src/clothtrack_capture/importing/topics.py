@@ -1,11 +1,12 @@
 """Choice of a bag's depth and color topics by their usual names; otherwise the user must choose."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack_capture.importing.containers import Topic
+from clothtrack_capture.importing.images import DEPTH_ENCODINGS, GRAY_ENCODINGS
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -29,6 +30,10 @@ _COLOR = (
     r"(left|camera)/image_(rect_color|raw)$",
 )
 _TRANSPORTS = ("/compressedDepth", "/compressed")
+_GRAY = re.compile(r"infra|(^|[/_])ir([/_\d]|$)|mono|mask|label", re.IGNORECASE)
+_OF_THE_SYSTEM = re.compile(r"^/(rosout(_agg)?|parameter_events|diagnostics|clock|events/.*)$"
+                            r"|^/(device_\d+|file_version)(?!.*/image/data)")  # fmt: skip
+PNG_DEPTH = "16-bit PNG"
 
 
 def base_name(topic: str) -> str:
@@ -38,41 +43,95 @@ def base_name(topic: str) -> str:
     return topic
 
 
-def _image_topics(topics: Iterable[Topic]) -> list[Topic]:
-    """Return the topics that carry pictures."""
-    return [topic for topic in topics if topic.kind in (IMAGE, COMPRESSED)]
+def is_picture(topic: Topic) -> bool:
+    """Return whether a topic carries pictures."""
+    return topic.kind in (IMAGE, COMPRESSED)
 
 
-def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topic:
-    """Return the topic of depth."""
-    # The plain `compressed` of a depth topic can be 8-bit; compressedDepth never is.
-    able = [topic for topic in _image_topics(topics) if not topic.name.endswith("/compressed")]
-    return _choose(path, able, _DEPTH, asked, what="depth", flag="--depth-topic", every=topics)
+def choose_depth(
+    path: Path, topics: Sequence[Topic], asked: str | None, encoding: Callable[[Topic], str]
+) -> Topic:
+    """Return the topic of depth; `encoding` tells that of a topic's first picture."""
+    pictures = [topic for topic in topics if is_picture(topic)]
+    # The plain `compressed` of a depth topic keeps what was measured as a PNG of 16 bits alone.
+    lossy = {
+        topic for topic in pictures
+        if topic.name.endswith("/compressed") and encoding(topic) != PNG_DEPTH
+    }  # fmt: skip
+    able = [topic for topic in pictures if topic not in lossy]
+    named = [topic for topic in lossy if asked in (topic.name, base_name(topic.name))]
+    near = named or [topic for topic in lossy if any(_is_like(topic, one) for one in _DEPTH)]
+    hint = ""
+    if near:
+        hint = (
+            f"; {near[0].name} is {encoding(near[0])!r}, which changes depth: record image_raw or "
+            "compressedDepth"
+        )
+    return _choose(
+        path, able, _DEPTH, asked,
+        what="depth", flag="--depth-topic", every=f"{topic_list(topics)}{hint}",
+    )  # fmt: skip
 
 
 def choose_color(
-    path: Path, topics: Sequence[Topic], depth: Topic, asked: str | None
+    path: Path,
+    topics: Sequence[Topic],
+    depth: Topic,
+    asked: str | None,
+    encoding: Callable[[Topic], str],
 ) -> Topic | None:
-    """Return the topic of color, or None if there is none."""
+    """Return the topic of color: by its usual name, else the only other one; None if none is."""
     able = [
         topic
-        for topic in _image_topics(topics)
-        if not topic.name.endswith("/compressedDepth") and topic.name != depth.name
+        for topic in topics
+        if is_picture(topic)
+        and not topic.name.endswith("/compressedDepth")
+        and base_name(topic.name) != base_name(depth.name)
     ]
-    usual = [
-        topic
-        for topic in able
-        if any(re.search(pattern, base_name(topic.name)) for pattern in _COLOR)
-    ]
+    usual = [topic for topic in able if any(_is_like(topic, pattern) for pattern in _COLOR)]
     if asked is None and not usual:
-        return None
+        others = [
+            topic for topic in able
+            if not _GRAY.search(topic.name)
+            and not any(_is_like(topic, pattern) for pattern in _DEPTH)
+            and encoding(topic) not in (*GRAY_ENCODINGS, *DEPTH_ENCODINGS, PNG_DEPTH)
+        ]  # fmt: skip
+        alone = len({base_name(topic.name) for topic in others}) == 1
+        return min(others, key=lambda topic: topic.kind != IMAGE) if alone else None
     # The color of a camera shares the longest topic prefix with its depth.
     shared = max((_shared(topic.name, depth.name) for topic in usual), default=0)
     near = [topic for topic in able if _shared(topic.name, depth.name) >= shared]
     return _choose(
         path, able if asked else near, _COLOR, asked,
-        what="color", flag="--color-topic", every=topics,
+        what="color", flag="--color-topic", every=topic_list(topics),
     )  # fmt: skip
+
+
+def _is_like(topic: Topic, pattern: str) -> bool:
+    return bool(re.search(pattern, base_name(topic.name)))
+
+
+def left_out(topics: Iterable[Topic], used: Sequence[str]) -> list[str]:
+    """Return remarks on the topics that an import does not use."""
+    rest = [
+        topic for topic in topics
+        if topic.name not in used
+        and not _OF_THE_SYSTEM.search(topic.name)
+        and not (topic.kind == CAMERA_INFO or topic.kind.endswith(("/TFMessage", "/tfMessage")))
+        and not any(topic.name == f"{base_name(one)}{way}" for one in used for way in _TRANSPORTS)
+        and base_name(topic.name) not in used
+    ]  # fmt: skip
+    pictures = [topic for topic in rest if is_picture(topic)]
+    others = [topic for topic in rest if not is_picture(topic)]
+    notes = []
+    if pictures:
+        notes.append(
+            f"pictures that were left out: {topic_list(pictures, 8)}; --color-topic and "
+            "--depth-topic choose others"
+        )
+    if others:
+        notes.append(f"topics that were not used: {topic_list(others, 8)}")
+    return notes
 
 
 def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
@@ -89,7 +148,7 @@ def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
     return next((known[name] for name in wanted if name in known), None)
 
 
-def listed(topics: Iterable[Topic], limit: int = 30) -> str:
+def topic_list(topics: Iterable[Topic], limit: int = 30) -> str:
     """Return a list of the topics as text, pictures first."""
     ranked = sorted(
         set(topics), key=lambda topic: (topic.kind not in (IMAGE, COMPRESSED), topic.name)
@@ -107,7 +166,7 @@ def _choose(
     *,
     what: str,
     flag: str,
-    every: Sequence[Topic],
+    every: str,
 ) -> Topic:
     if asked is not None:
         candidates = [topic for topic in able if topic.name == asked] or [
@@ -115,11 +174,11 @@ def _choose(
         ]
         if not candidates:
             raise InvalidRecordingError(
-                f"{path}: no {what} topic {asked!r}; topics: {listed(every)}; name one with {flag}"
+                f"{path}: no {what} topic {asked!r}; topics: {every}; name one with {flag}"
             )
-        return candidates[0]
+        return min(candidates, key=_transport)
     for pattern in patterns:
-        candidates = [topic for topic in able if re.search(pattern, base_name(topic.name))]
+        candidates = [topic for topic in able if _is_like(topic, pattern)]
         names = {base_name(topic.name) for topic in candidates}
         if len(names) > 1:
             raise InvalidRecordingError(
@@ -128,11 +187,14 @@ def _choose(
             )
         if candidates:
             # Of several transports, prefer raw images.
-            return min(candidates, key=lambda topic: (topic.kind != IMAGE, topic.name))
+            return min(candidates, key=_transport)
     raise InvalidRecordingError(
-        f"{path}: no topic has a usual name of {what}; topics: {listed(every)}; name one "
-        f"with {flag}"
+        f"{path}: no topic has a usual name of {what}; topics: {every}; name one with {flag}"
     )
+
+
+def _transport(topic: Topic) -> tuple[bool, bool, str]:
+    return topic.kind != IMAGE, not topic.name.endswith("/compressedDepth"), topic.name
 
 
 def _shared(name: str, other: str) -> int:

@@ -81,13 +81,15 @@ class TransformTree:
         edge.times.append(time_ns)
         edge.numbers.extend(numbers.tolist())
 
-    def add_message(self, stamped: Any, fallback_ns: int, *, static: bool) -> None:
-        """Add a TransformStamped, at `fallback_ns` if it has no time."""
+    def add_message(
+        self, stamped: Any, sent_ns: int, *, static: bool, written: bool = False
+    ) -> None:
+        """Add a TransformStamped, at `sent_ns` if it has no time, or always (`written`)."""
         stamp = stamped.header.stamp
         t, q = stamped.transform.translation, stamped.transform.rotation
         self.add(
             stamped.header.frame_id, stamped.child_frame_id,
-            stamp.sec * 10**9 + stamp.nanosec or fallback_ns, (t.x, t.y, t.z),
+            sent_ns if written else stamp.sec * 10**9 + stamp.nanosec or sent_ns, (t.x, t.y, t.z),
             (q.x, q.y, q.z, q.w), static=static,
         )  # fmt: skip
 
@@ -97,6 +99,10 @@ class TransformTree:
             kept = max(bisect_right(edge.times, before_ns) - 1, 0)
             del edge.times[:kept]
             del edge.numbers[: 7 * kept]
+
+    def root(self, frame: str) -> str:
+        """Return the frame at the root of a frame's tree."""
+        return self._chain(frame)[-1]
 
     def connects(self, first: str, other: str) -> bool:
         """Return whether both frames are in the same tree."""

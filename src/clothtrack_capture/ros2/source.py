@@ -16,7 +16,7 @@ from clothtrack_capture.importing.containers import Topic
 from clothtrack_capture.importing.images import raw_color, raw_depth_m
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.messages import decode, header_stamp_ns, intrinsics_of
-from clothtrack_capture.importing.topics import CAMERA_INFO, IMAGE, base_name, listed
+from clothtrack_capture.importing.topics import CAMERA_INFO, IMAGE, base_name, topic_list
 from clothtrack_capture.ros2.joining import PictureCounts, PictureQueue, Received
 from clothtrack_capture.ros2.live_picture import LivePicture
 from clothtrack_capture.ros2.participant import Participant, Publication, Reader
@@ -282,7 +282,7 @@ class Ros2Source:
         seen = self._participant.publications()
         names = [self._names[part] for part in parts]
         names = [name for name in names if name not in seen] or names
-        topics = listed(Topic(name, one.kind, cdr=True) for name, one in seen.items())
+        topics = topic_list(Topic(name, one.kind, cdr=True) for name, one in seen.items())
         return (
             f"no message on {', '.join(names)} for {self._config.patience_s:g} s; topics seen: "
             f"{topics}; check the names, ROS_DOMAIN_ID and CYCLONEDDS_URI"

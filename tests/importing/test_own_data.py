@@ -1,0 +1,705 @@
+"""Bags, folders and logs as people have them, by `clothtrack import`: right, or one line that helps.
+
+The pixel (0, 0) of depth picture k is 800 + 3k in `cases/`, so that a lost or swapped one shows.
+"""
+
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from import_makers import (
+    OPTICAL,
+    START_NS,
+    Film,
+    Messages,
+    color_of,
+    depth_of,
+    lens_file,
+    png,
+    stream,
+    write_folder,
+    write_kinect,
+    write_ros1,
+    write_ros2,
+)
+
+from clothtrack.cli import command_line as cli
+
+CASES = Path(__file__).with_name("cases")
+ROS2, ROS1 = Messages(cdr=True), Messages(cdr=False)
+DEPTH, COLOR = "/camera/aligned_depth_to_color/image_raw", "/camera/color/image_raw"
+PERIOD_NS = 33_333_333
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    """Run `clothtrack import SOURCE out WORDS...`; return the exit code and what it said."""
+
+    def one(source, *words):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+        code = cli.main(["import", str(source), str(tmp_path / "out"), *map(str, words)])
+        told = capsys.readouterr()
+        if code:
+            assert told.err.count("\n") == 1, told.err
+            assert "recording.json" not in told.err
+            assert not (tmp_path / "out").exists()
+        return code, told.out + told.err
+
+    return one
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
+
+
+def advised(text, option):
+    """The option with its value as the text advises it."""
+    found = re.search(rf"{option}( [^\s,;]+)?", text)
+    assert found, text
+    return shlex.split(found[0])
+
+
+def moments(out):
+    return [frame["time_s"] for frame in json.loads((out / "recording.json").read_text())["frames"]]
+
+
+def actions(out):
+    document = json.loads((out / "recording.json").read_text())
+    return [(one["first_frame"], one["last_frame"]) for one in document["actions"]]
+
+
+def film_of(frames=6, first=0):
+    """Pictures like those of `cases/`: smooth, picture k with 800 + 3k at (0, 0)."""
+    film = Film(frames=frames, width=64, height=48, f=60.0)
+    rows, columns = np.mgrid[:48, :64]
+    film.depth = (800 + rows // 4 + columns // 4)[None] + 3 * np.arange(first, first + frames)[
+        :, None, None
+    ]
+    film.depth = film.depth.astype(np.uint16)
+    return film
+
+
+def restamped(film, stamps, written, *, color=None, messages=ROS2):
+    """The messages of a camera with other stamps [ns] and times of writing."""
+    color = stamps if color is None else color
+    for k, log in enumerate(written):
+        for topic in (DEPTH, COLOR):
+            yield topic.rpartition("/")[0] + "/camera_info", log, messages.info(stamps[k], film)
+        yield DEPTH, log, messages.image(stamps[k], film.depth[k], "16UC1")
+        yield COLOR, log, messages.image(color[k], film.color[k], "rgb8")
+
+
+def test_a_simulator_that_was_reset_is_noticed_and_the_times_of_writing_help(run, out):
+    code, told = run(CASES / "clock-restart")
+    assert code == 1
+    assert "picture 6 has 1.007 s" in told
+    assert "picture 5" in told
+    code, told = run(CASES / "clock-restart", *advised(told, "--stamps"))
+    assert code == 0
+    takes = [first + 3 * k for first in (800, 1000) for k in range(6)]
+    assert depth_of(out)[:, 0, 0].tolist() == takes
+    assert moments(out)[6] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    "back_ns", [6 * PERIOD_NS, 100 * 10**9, 3 * PERIOD_NS], ids=["to the start", "far", "a little"]
+)
+@pytest.mark.parametrize("write", ["ros2", "sqlite", "ros1"])
+def test_stamps_that_run_backwards(write, back_ns, run, out, tmp_path):
+    film = film_of(12)
+    written = film.times
+    stamps = np.where(np.arange(12) < 6, film.times, film.times - back_ns)
+    messages = ROS1 if write == "ros1" else ROS2
+    entries = restamped(film, stamps, written, messages=messages)
+    if write == "ros1":
+        source = write_ros1(tmp_path / "film.bag", entries, messages)
+    else:
+        storage = "sqlite3" if write == "sqlite" else "mcap"
+        source = write_ros2(tmp_path / "film", entries, messages, storage=storage)
+    code, told = run(source)
+    assert code == 1
+    assert "picture 6" in told
+    assert "picture 5" in told
+    code, _ = run(source, *advised(told, "--stamps"))
+    assert code == 0
+    assert depth_of(out)[:, 0, 0].tolist() == [800 + 3 * k for k in range(12)]
+
+
+def test_a_clock_of_everything_set_back_keeps_the_order_of_writing(run, out, tmp_path):
+    film = film_of(12)
+    times = np.where(np.arange(12) < 6, film.times, film.times - 50 * 10**9)
+    source = write_ros2(tmp_path / "film", restamped(film, times, times), ROS2)
+    code, told = run(source)
+    assert code == 1
+    code, _ = run(source, *advised(told, "--stamps"))
+    assert code == 0
+    assert depth_of(out)[:, 0, 0].tolist() == [800 + 3 * k for k in range(12)]
+
+
+def test_messages_that_were_written_in_another_order_are_sorted(run, out, tmp_path):
+    film = film_of(12)
+    order = [0, 2, 1, 3, 4, 7, 5, 6, 8, 9, 11, 10]
+    stamps = film.times[order]
+    film.depth, film.color = film.depth[order], film.color[order]
+    source = write_ros2(tmp_path / "film", restamped(film, stamps, START_NS + PERIOD_NS * np.arange(12)), ROS2)  # fmt: skip # noqa: E501
+    assert run(source)[0] == 0
+    assert depth_of(out)[:, 0, 0].tolist() == [800 + 3 * k for k in range(12)]
+
+
+def test_a_clock_that_was_set_forward_is_named(run, tmp_path):
+    code, told = run(CASES / "clock-set-forward")
+    assert code == 0
+    assert "jump" in told
+    assert "between pictures 14 and 15" in told
+    assert "86400.0 s" in told
+    # Where the times of writing do not jump, they are the remedy.
+    film = film_of(12)
+    stamps = np.where(np.arange(12) < 6, film.times, film.times + 3600 * 10**9)
+    source = write_ros2(tmp_path / "film", restamped(film, stamps, film.times), ROS2)
+    code, told = run(source)
+    assert code == 0
+    assert "jump" in told
+    code, told = run(source, *advised(told, "--stamps"))
+    assert code == 0
+    assert "jump" not in told
+
+
+def test_pictures_without_a_stamp_are_placed_and_named(run, out, tmp_path):
+    film = film_of(12)
+    stamps = np.where(np.isin(np.arange(12), (4, 5)), 0, film.times)
+    written = film.times + 20_000_000
+    source = write_ros2(tmp_path / "film", restamped(film, stamps, written, color=film.times), ROS2)
+    code, told = run(source)
+    assert code == 0
+    assert "2 pictures of depth have no time stamp (the first is number 4" in told
+    assert np.allclose(moments(out), np.arange(12) / 30, atol=1e-6)
+
+
+@pytest.mark.parametrize("offset_s", [3.0, -3600.0])
+def test_depth_and_color_on_two_clocks(offset_s, run, out, tmp_path):
+    film = film_of(120)
+    color = film.times + round(offset_s * 1e9)
+    source = write_ros2(tmp_path / "film", restamped(film, film.times, film.times, color=color), ROS2)  # fmt: skip # noqa: E501
+    code, told = run(source)
+    assert code == 1
+    assert "two clocks" in told
+    assert f"{abs(offset_s):.3f} s" in told
+    for option in ("--stamps", "--color-offset-s"):
+        assert run(source, *advised(told, option))[0] == 0
+        assert np.array_equal(color_of(out), film.color)
+
+
+def test_lists_on_two_clocks_are_told_the_offset(run, out, tmp_path):
+    film = film_of()
+    source = write_folder(tmp_path / "film", film, "tum")
+    lines = (source / "rgb.txt").read_text().splitlines()
+    lines = [re.sub(r"^\d+", lambda found: str(int(found[0]) - 7200), line) for line in lines]
+    (source / "rgb.txt").write_text("\n".join(lines))
+    words = ["--intrinsics", lens_file(tmp_path / "lens.json", film), "--depth-unit-m", "0.001"]
+    code, told = run(source, *words)
+    assert code == 1
+    assert "--tolerance-s" not in told
+    assert run(source, *words, *advised(told, "--color-offset-s"))[0] == 0
+    assert np.array_equal(color_of(out), film.color)
+
+
+@pytest.mark.parametrize("names", ["suffixed", "prefixed"])
+def test_names_that_differ_are_paired(names, run, out):
+    code, told = run(CASES / "names-differ" / names)
+    assert code == 0
+    assert depth_of(out)[:, 0, 0].tolist() == [800, 803, 806, 809, 812, 815]
+    assert len(color_of(out)) == 6
+    assert np.allclose(moments(out), np.arange(6) / 30, atol=1e-6)
+    assert "names of depth and color differ" in told
+
+
+def renamed(tmp_path, depth, color, *, frames=6):
+    """A folder in Open3D style with other names of the pictures."""
+    film = film_of(frames)
+    source = write_folder(tmp_path / "film", film, "open3d")
+    for kind, name in (("depth", depth), ("color", color)):
+        for k in range(frames):
+            (source / kind / f"{k:06d}.png").rename(source / kind / f"{name(k)}.png")
+    return source, film
+
+
+@pytest.mark.parametrize(
+    ("depth", "color"),
+    [
+        (lambda k: f"frame-{k:06d}.depth", lambda k: f"frame-{k:06d}.color"),
+        (lambda k: f"{k}", lambda k: f"{k:04d}"),
+        (lambda k: f"{k}", lambda k: f"{k + 1}"),
+        (lambda k: f"D{k:03d}_a", lambda k: "abcdef"[k]),
+        (lambda k: f"cam1_{k:04d}_depth", lambda k: f"cam1_{k:04d}_rgb"),
+        (lambda k: f"{10 * k + 3}", lambda k: f"{10 * k + 4}"),
+    ],
+)
+def test_siblings_of_names(depth, color, run, out, tmp_path):
+    source, film = renamed(tmp_path, depth, color)
+    code, told = run(source)
+    assert code == 0
+    assert np.array_equal(depth_of(out), film.depth)
+    assert np.array_equal(color_of(out), film.color)
+    assert "names of depth and color differ" in told
+
+
+def test_names_that_do_not_match_in_number_are_asked_for(run, tmp_path):
+    source, _ = renamed(tmp_path, lambda k: f"d{k}x", lambda k: "abcdef"[k])
+    (source / "color" / "a.png").unlink()
+    code, told = run(source)
+    assert code == 1
+    assert "6 depth and 5 color" in told
+    assert "associations.txt" in told
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        lambda ns: f"{ns // 10**9}.{ns % 10**9:09d}", lambda ns: str(ns),
+        lambda ns: str(ns // 1000), lambda ns: str(ns // 10**6),
+        lambda ns: f"{ns // 10**9}_{ns % 10**9:09d}",
+    ],
+)  # fmt: skip
+def test_names_that_are_times_give_the_times(name, run, out, tmp_path):
+    film = film_of()
+    times = film.times + 5_000_000 * np.array([0, 1, 0, 2, 0, 1])
+    source, _ = renamed(tmp_path, lambda k: name(int(times[k])), lambda k: name(int(times[k])))
+    code, told = run(source)
+    assert code == 0
+    assert "names of the pictures are their times" in told
+    assert np.allclose(moments(out), (times - times[0]) / 1e9, atol=1.1e-3)
+
+
+def test_a_list_of_associations_is_the_list(run, out, tmp_path):
+    film = film_of()
+    source = write_folder(tmp_path / "film", film, "tum")
+    depth, color = (sorted((source / kind).iterdir()) for kind in ("depth", "rgb"))
+    lines = [f"{k}.01 rgb/{color[k].name} {k}.00 depth/{depth[k].name}" for k in (0, 2, 3)]
+    (source / "associations.txt").write_text("# rgb, depth\n" + "\n".join(lines) + "\nnonsense\n")
+    words = ["--intrinsics", lens_file(tmp_path / "lens.json", film), "--depth-unit-m", "0.001"]
+    code, told = run(source, *words)
+    assert code == 0
+    assert np.array_equal(depth_of(out), film.depth[[0, 2, 3]])
+    assert moments(out) == [0.0, 2.0, 3.0]
+    assert "1 lines are not" in told
+    assert "nonsense" in told
+
+
+def test_masks_are_imported(run, out, tmp_path):
+    film = film_of()
+    source = write_folder(tmp_path / "film", film, "open3d")
+    (source / "mask").mkdir()
+    marked = np.zeros((48, 64), np.uint8)
+    marked[10:20, 5:30] = 1
+    for k in range(6):
+        (source / "mask" / f"{k:06d}.png").write_bytes(png(marked if k != 2 else 255 * marked))
+    code, told = run(source)
+    assert code == 0
+    assert "which pixels are cloth" not in told
+    assert "6 files" in told
+    masks = [cv2.imread(str(file), -1) for file in sorted((out / "mask").iterdir())]
+    assert len(masks) == 6
+    assert all(np.array_equal(mask, 255 * marked) for mask in masks)
+    for file in (source / "mask").iterdir():
+        file.rename(file.with_name(file.stem + "_mask.png"))
+    assert run(source)[0] == 0
+    assert len(list((out / "mask").iterdir())) == 6
+    (source / "mask" / "000003_mask.png").unlink()
+    (source / "mask" / "000004_mask.png").rename(source / "mask" / "other.png")
+    code, told = run(source)
+    assert code == 0
+    assert "masks" in told or "of mask" in told
+
+
+def test_what_is_not_recognized_in_a_folder_is_named(run, tmp_path):
+    source = write_folder(tmp_path / "film", film_of(), "open3d")
+    (source / "poses.txt").write_text("0 0 0\n")
+    (source / "infrared").mkdir()
+    (source / "depth" / "000006.tiff").write_bytes(b"II*")
+    code, told = run(source)
+    assert code == 0
+    for word in ("poses.txt", "infrared/", "000006.tiff"):
+        assert word in told
+
+
+def test_lossless_compressed_depth_is_imported(run, out):
+    for words in ([], ["--depth-topic", DEPTH], ["--depth-topic", DEPTH + "/compressed"]):
+        assert run(CASES / "depth-compressed-png", *words)[0] == 0
+        assert depth_of(out)[:, 0, 0].tolist() == [800, 803, 806, 809, 812, 815]
+
+
+def test_lossy_compressed_depth_is_called_so(run, tmp_path):
+    film = film_of()
+    entries = []
+    for time in film.times.tolist():
+        entries.append(("/camera/depth/camera_info", time, ROS2.info(time, film)))
+        jpeg = cv2.imencode(".jpg", (film.depth[0] // 4).astype(np.uint8))[1].tobytes()
+        entries.append(("/camera/depth/image_raw/compressed", time,
+                        ROS2.compressed(time, jpeg, "16UC1; jpeg compressed")))  # fmt: skip
+    code, told = run(write_ros2(tmp_path / "bag", entries, ROS2))
+    assert code == 1
+    assert "changes depth" in told
+    assert "compressedDepth" in told
+
+
+def depth_bag(path, film, pictures, encoding, **attributes):
+    """A bag of depth alone in an encoding."""
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/depth/camera_info", time, ROS2.info(time, film)))
+        image = ROS2.image(time, pictures[k], encoding)
+        for name, value in attributes.items():
+            setattr(image, name, value)
+        entries.append(("/depth/image_raw", time, image))
+    return write_ros2(path, entries, ROS2)
+
+
+def test_floats_in_millimeters_are_told_and_imported(run, out):
+    code, told = run(CASES / "float-millimeters")
+    assert code == 1
+    assert "826.5 units" in told
+    code, _ = run(CASES / "float-millimeters", *advised(told, "--depth-unit-m"))
+    assert code == 0
+    assert depth_of(out)[:, 0, 0].tolist() == [8000 + 30 * k for k in range(6)]
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e-4, 2.5e-4])
+def test_a_given_unit_that_cannot_be_is_told_with_the_median(unit, run, tmp_path):
+    film = film_of()
+    source = write_ros2(tmp_path / "bag", stream(film, ROS2), ROS2)
+    code, told = run(source, "--depth-unit-m", unit * 1000)
+    assert code == 1
+    assert "given by --depth-unit-m" in told
+    assert run(source, *advised(told.partition("; give")[2], "--depth-unit-m"))[0] == 0
+
+
+def test_a_scale_in_meters_per_unit_is_named(run, out):
+    code, told = run(CASES / "depth-scale")
+    assert code == 1
+    assert "depth_scale 0.001 in intrinsics.json" in told
+    assert run(CASES / "depth-scale", *advised(told, "--depth-unit-m"))[0] == 0
+    assert depth_of(out)[0, 0, 0] == 800
+
+
+@pytest.mark.parametrize("kind", ["message", "files"])
+def test_a_wrong_byte_order_is_exchanged_and_said(kind, run, out, tmp_path):
+    film = film_of()
+    if kind == "message":
+        source = depth_bag(tmp_path / "bag", film, film.depth.byteswap(), "16UC1")
+    else:
+        swapped = film_of()
+        swapped.depth = film.depth.byteswap()
+        source = write_folder(tmp_path / "film", swapped, "open3d")
+    code, told = run(source)
+    assert code == 0
+    assert np.array_equal(depth_of(out), film.depth)
+    assert "order" in told
+
+
+def test_the_only_other_pictures_are_the_color(run, out):
+    code, told = run(CASES / "color-not-named")
+    assert code == 0
+    assert "/rgb" in told
+    assert len(color_of(out)) == 6
+
+
+def test_pictures_and_topics_that_are_left_out_are_named(run, tmp_path):
+    film = film_of()
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/camera_info", time, ROS2.info(time, film)))
+        entries.append(("/depth", time, ROS2.image(time, film.depth[k], "16UC1")))
+        for name in ("/front", "/side"):
+            entries.append((name, time, ROS2.image(time, film.color[k], "rgb8")))
+        entries.append(("/weather", time, ROS2.value("Float32", 20.0)))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    code, told = run(source)
+    assert code == 0
+    for word in ("/front", "/side", "--color-topic", "/weather"):
+        assert word in told
+    code, told = run(source, "--color-topic", "/front")
+    assert code == 0
+    assert "/side" in told
+
+
+def test_an_infrared_picture_is_no_color(run, tmp_path):
+    film = film_of()
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/camera_info", time, ROS2.info(time, film)))
+        entries.append(("/depth", time, ROS2.image(time, film.depth[k], "16UC1")))
+        entries.append(("/infra1", time, ROS2.image(time, film.color[k][..., 0], "mono8")))
+    code, told = run(write_ros2(tmp_path / "bag", entries, ROS2))
+    assert code == 0
+    assert "left out: /infra1" in told
+
+
+def test_the_gripper_among_the_joints_of_an_arm(run, out):
+    words = ["--picker-topic", "/tool", "--gripper-topic", "/joint_states",
+             "--gripper-closed-below", "0.03"]  # fmt: skip
+    code, told = run(CASES / "joints-of-the-arm", *words)
+    assert code == 0
+    assert "finger_joint1, finger_joint2" in told
+    assert actions(out) == [(10, 21)]
+
+
+def jointed(tmp_path, names, values, *, alone=False):
+    """A bag with a tool and the joints of an arm; value per frame of each joint."""
+    film = film_of(30)
+    entries = list(stream(film, ROS2))
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/tool", time, ROS2.pose(time, OPTICAL, (0.01 * k, 0, 0.7))))
+        groups = [[one] for one in range(len(names))] if alone else [list(range(len(names)))]
+        for group in groups:
+            message = ROS2.make(
+                "sensor_msgs/msg/JointState", header=ROS2.header(time, ""),
+                name=[names[one] for one in group],
+                position=np.array([values[one][k] for one in group]),
+                velocity=np.zeros(0), effort=np.zeros(0),
+            )  # fmt: skip
+            entries.append(("/joint_states", time, message))
+    return write_ros2(tmp_path / "bag", sorted(entries, key=lambda one: one[1]), ROS2)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_joints_that_no_name_tells_are_asked_for(alone, run, out, tmp_path):
+    closed = np.where((np.arange(30) >= 10) & (np.arange(30) < 20), 0.0, 0.08)
+    names = ["j1", "j2", "j3", "j4", "m1"]
+    source = jointed(tmp_path, names, [np.full(30, 0.5)] * 4 + [closed], alone=alone)
+    words = ["--picker-topic", "/tool", "--gripper-topic", "/joint_states",
+             "--gripper-closed-below", "0.03"]  # fmt: skip
+    if not alone:
+        code, told = run(source, *words)
+        assert code == 1
+        assert "j1, j2, j3, j4, m1" in told
+        assert "--gripper-joints" in told
+    assert run(source, *words, "--gripper-joints", "m1")[0] == 0
+    assert actions(out) == [(10, 20)]
+    code, told = run(source, *words, "--gripper-joints", "m9")
+    assert code == 1
+    assert "m9" in told
+
+
+@pytest.mark.parametrize("kind", ["apart", "overlapping", "twice"])
+def test_two_takes_in_a_folder_are_listed(kind, run, out, tmp_path):
+    folder = CASES / "two-takes-in-a-folder"
+    if kind != "apart":
+        folder = tmp_path / "takes"
+        folder.mkdir()
+        for number in range(2):
+            film = film_of(90)
+            film.times = film.times + (1_500_000_000 * number if kind == "overlapping" else 0)
+            one = write_ros2(tmp_path / f"take{number}", stream(film, ROS2), ROS2)
+            next(one.glob("*.mcap")).rename(folder / f"take{number}.mcap")
+    code, told = run(folder)
+    assert code == 1
+    names = sorted(file.name for file in folder.glob("*.mcap"))
+    assert all(name in told for name in names)
+    assert run(re.search(r"such as (\S+)", told)[1])[0] == 0
+
+
+def test_parts_are_ordered_by_time_whatever_their_names(run, out, tmp_path):
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    for name, first in (("b", 0), ("a", 6)):
+        film = film_of(6, first)
+        film.times = film.times + first * PERIOD_NS
+        one = write_ros2(tmp_path / f"part{first}", stream(film, ROS2), ROS2)
+        next(one.glob("*.mcap")).rename(folder / f"{name}.mcap")
+    assert run(folder)[0] == 0
+    assert depth_of(out)[:, 0, 0].tolist() == [800 + 3 * k for k in range(12)]
+
+
+def test_a_log_of_coarse_times(run, out):
+    code, told = run(CASES / "robot-log" / "bag", "--picker-csv",
+                     CASES / "robot-log" / "coarse_times.csv")  # fmt: skip
+    assert code == 0
+    assert "7 rows" in told
+    assert "resolution of 0.1 s" in told
+    lines = (out / "picker.csv").read_text().splitlines()[1:]
+    assert [line.split(",")[2] for line in lines] == ["0.02", "0.07", "0.09"]
+
+
+LOGS = {
+    "semicolons": "time;x;y;z;closed\n0;0;0;0.5;0\n0.05;0.1;0;0.5;1\n0.15;0.2;0;0.5;0\n",
+    "other units": "time_ms,x_mm,y_mm,z_mm,closed\n0,0,0,500,0\n50,100,0,500,1\n150,200,0,500,0\n",
+    "remarks": "# Größe\ntime,x,y,z,closed\n0,0,0,0.5,0\n# später\n0.05,0.1,0,0.5,1\n0.15,0.2,0,0.5,0\n",
+    "a header in a remark": "# time x y z\n".replace(" ", ",").replace("#,", "# ")
+    + "0,0,0,0.5\n0.05,0.1,0,0.5\n0.15,0.2,0,0.5\n",
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
+@pytest.mark.parametrize("kind", LOGS)
+def test_logs_of_other_programs(kind, encoding, run, out, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(LOGS[kind], encoding=encoding)
+    source = write_ros2(tmp_path / "bag", stream(film_of(), ROS2), ROS2)
+    code, told = run(source, "--picker-csv", log)
+    assert code == 0, told
+    lines = [line.split(",") for line in (out / "picker.csv").read_text().splitlines()[1:]]
+    assert [float(line[2]) for line in lines] == [0.0, 0.1, 0.2]
+    assert [float(line[0]) for line in lines] == [0.0, 0.05, 0.15]
+
+
+def test_columns_that_are_not_used_are_named(run, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("time,x,y,z,qx,force\n0,0,0,0.5,1,2\n0.1,0,0,0.5,1,2\n")
+    source = write_ros2(tmp_path / "bag", stream(film_of(), ROS2), ROS2)
+    code, told = run(source, "--picker-csv", log)
+    assert code == 0
+    assert "not used: qx, force" in told
+
+
+def test_a_log_on_the_other_clock_is_told_the_option_that_fits(run, tmp_path):
+    film = film_of()
+    source = write_ros2(tmp_path / "bag", stream(film, ROS2), ROS2)
+    log = tmp_path / "log.csv"
+    rows = [f"{time / 1e9:.6f},0,0,0.5" for time in film.times]
+    log.write_text("\n".join(["time,x,y,z", *rows]))
+    code, told = run(source, "--picker-csv", log)
+    assert code == 1
+    assert run(source, "--picker-csv", log, *advised(told, "--picker-clock"))[0] == 0
+    log.write_text("time,x,y,z\n50,0,0,0.5\n51,0,0,0.5\n")
+    for words in ([], ["--picker-clock", "source"]):
+        code, told = run(source, "--picker-csv", log, *words)
+        assert code == 1
+        assert "--picker-clock" not in told
+
+
+LENS = [60.0, 0, 31.5, 0, 60.0, 23.5, 0, 0, 1]
+LENSES = {
+    "by rows": {"width": 64, "height": 48, "intrinsic_matrix": LENS},
+    "by columns": {"width": 64, "height": 48,
+                   "intrinsic_matrix": np.reshape(LENS, (3, 3)).T.ravel().tolist()},
+    "three rows": {"width": 64, "height": 48, "K": np.reshape(LENS, (3, 3)).tolist()},
+    "nested": {"intrinsics": {"width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31.5,
+                              "cy": 23.5}, "serial": "1"},
+    "RealSense": {"width": 64, "height": 48, "fx": 60, "fy": 60, "ppx": 31.5, "ppy": 23.5,
+                  "coeffs": [0, 0, 0, 0, 0]},
+    "ROS": {"image_width": 64, "image_height": 48, "distortion_model": "plumb_bob",
+            "camera_matrix": {"rows": 3, "cols": 3, "data": LENS}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_lenses_of_other_programs(kind, run, out, tmp_path):
+    source = write_folder(tmp_path / "film", film_of(), "bop")
+    lens = tmp_path / "lens.json"
+    lens.write_text(json.dumps(LENSES[kind]))
+    code, told = run(source, "--intrinsics", lens, "--fps", "30", "--depth-unit-m", "0.001")
+    assert code == 0, told
+    camera = json.loads((out / "recording.json").read_text())["cameras"][0]
+    assert [camera[name] for name in ("fx", "fy", "cx", "cy")] == [60.0, 60.0, 31.5, 23.5]
+
+
+def test_a_field_of_a_lens_file_that_is_not_used_is_named(run, tmp_path):
+    film = film_of()
+    source = write_ros2(tmp_path / "bag", stream(film, ROS2), ROS2)
+    lens = lens_file(tmp_path / "lens.json", film, skew=0.1)
+    code, told = run(source, "--intrinsics", lens)
+    assert code == 0
+    assert "skew" in told
+
+
+def test_a_lens_of_another_size_is_told_by_its_origin(run, tmp_path):
+    film = film_of()
+    source = write_ros2(tmp_path / "bag", stream(film, ROS2), ROS2)
+    small = Film(frames=6, width=32, height=24)
+    lens = lens_file(tmp_path / "lens.json", small)
+    code, told = run(source, "--intrinsics", lens)
+    assert code == 1
+    assert f"correct width and height in {lens}" in told
+    assert "--intrinsics" not in told
+
+
+def test_a_lens_that_changes_is_refused_with_both(run, tmp_path):
+    film, later = film_of(), film_of()
+    later.f = 45.0
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/depth/camera_info", time, ROS2.info(time, film if k < 3 else later)))
+        entries.append(("/depth/image_raw", time, ROS2.image(time, film.depth[k], "16UC1")))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    code, told = run(source)
+    assert code == 1
+    assert "60.0" in told
+    assert "45.0" in told
+    assert run(source, "--intrinsics", lens_file(tmp_path / "lens.json", film))[0] == 0
+
+
+def test_a_camera_that_moves_is_refused_or_said(run, tmp_path):
+    film = film_of()
+    entries = list(stream(film, ROS2))
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/tf", time, ROS2.tf(time, "base", OPTICAL, (0.05 * k, 0, 1.0))))
+    entries.sort(key=lambda one: one[1])
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    code, told = run(source, "--world-frame", "base")
+    assert code == 1
+    assert "0.250 m" in told
+    code, told = run(source)
+    assert code == 0
+    assert "0.250 m" in told
+
+
+def test_a_scene_whose_camera_moves_is_refused(run, tmp_path):
+    source = write_folder(tmp_path / "film", film_of(), "bop")
+    content = json.loads((source / "scene_camera.json").read_text())
+    for key, entry in content.items():
+        entry |= {"depth_scale": 1.0, "cam_t_w2c": [100.0 * int(key), 0, 0]}
+    (source / "scene_camera.json").write_text(json.dumps(content))
+    code, told = run(source, "--fps", "30")
+    assert code == 1
+    assert "0.500 m" in told
+
+
+def test_an_encoding_that_changes_costs_those_frames_and_is_said(run, tmp_path):
+    film = film_of()
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/depth/camera_info", time, ROS2.info(time, film)))
+        picture = film.depth[k] if k < 4 else (film.depth[k] / 1000).astype(np.float32)
+        entries.append(("/depth/image_raw", time,
+                        ROS2.image(time, picture, "16UC1" if k < 4 else "32FC1")))  # fmt: skip
+    code, told = run(write_ros2(tmp_path / "bag", entries, ROS2))
+    assert code == 0
+    assert "2 frames: depth of float32" in told
+
+
+def test_a_wrong_unit_of_a_kinect_file_is_told(run, tmp_path):
+    rng = np.random.default_rng(0)
+    depth = rng.integers(500, 900, (3, 288, 320)).astype(np.uint16)
+    source = write_kinect(tmp_path / "film.mkv", depth, None, PERIOD_NS * np.arange(3))
+    code, told = run(source, "--depth-unit-m", "1")
+    assert code == 1
+    assert run(source, *advised(told.partition("; give")[2], "--depth-unit-m"))[0] == 0
+
+
+def test_every_check_at_the_end_names_the_source_and_the_option(run, tmp_path):
+    film = film_of()
+    source = write_ros2(tmp_path / "bag", stream(film, ROS2), ROS2)
+    code, told = run(source, "--cloth-color", "mauve")
+    assert code == 1
+    assert "--cloth-color" in told
+    log = tmp_path / "log.csv"
+    log.write_text("time,x,y,z\n0,0,0,500\n0.1,0,0,500\n")
+    code, told = run(source, "--picker-csv", log)
+    assert code == 1
+    assert str(log) in told
+
+
+def test_a_name_that_is_no_text_is_refused_in_one_line(tmp_path, capsys):
+    source = tmp_path / "take\udcff1"
+    write_folder(source, film_of(), "open3d")
+    assert cli.main(["import", str(source), str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().err
+    assert "UTF-8" in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
