@@ -37,7 +37,7 @@ from rosbags.typesys.store import Typestore
 
 from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import encode_png
-from clothtrack_capture.importing import ImportOptions
+from clothtrack_capture import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
 
 logger = logging.getLogger("bench_import")

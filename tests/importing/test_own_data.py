@@ -1,4 +1,4 @@
-"""Bags, folders and logs as people have them, by `clothtrack import`: right, or one line that helps.
+"""Bags, folders and logs as people have them, by `clothtrack import`: right, or a line that helps.
 
 The pixel (0, 0) of depth picture k is 800 + 3k in `cases/`, so that a lost or swapped one shows.
 """
@@ -7,6 +7,8 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -261,7 +263,7 @@ def test_names_that_do_not_match_in_number_are_asked_for(run, tmp_path):
 @pytest.mark.parametrize(
     "name",
     [
-        lambda ns: f"{ns // 10**9}.{ns % 10**9:09d}", lambda ns: str(ns),
+        lambda ns: f"{ns // 10**9}.{ns % 10**9:09d}", str,
         lambda ns: str(ns // 1000), lambda ns: str(ns // 10**6),
         lambda ns: f"{ns // 10**9}_{ns % 10**9:09d}",
     ],
@@ -415,8 +417,8 @@ def test_pictures_and_topics_that_are_left_out_are_named(run, tmp_path):
     for k, time in enumerate(film.times.tolist()):
         entries.append(("/camera_info", time, ROS2.info(time, film)))
         entries.append(("/depth", time, ROS2.image(time, film.depth[k], "16UC1")))
-        for name in ("/front", "/side"):
-            entries.append((name, time, ROS2.image(time, film.color[k], "rgb8")))
+        entries += [(name, time, ROS2.image(time, film.color[k], "rgb8"))
+                    for name in ("/front", "/side")]  # fmt: skip
         entries.append(("/weather", time, ROS2.value("Float32", 20.0)))
     source = write_ros2(tmp_path / "bag", entries, ROS2)
     code, told = run(source)
@@ -529,7 +531,8 @@ def test_a_log_of_coarse_times(run, out):
 LOGS = {
     "semicolons": "time;x;y;z;closed\n0;0;0;0.5;0\n0.05;0.1;0;0.5;1\n0.15;0.2;0;0.5;0\n",
     "other units": "time_ms,x_mm,y_mm,z_mm,closed\n0,0,0,500,0\n50,100,0,500,1\n150,200,0,500,0\n",
-    "remarks": "# Größe\ntime,x,y,z,closed\n0,0,0,0.5,0\n# später\n0.05,0.1,0,0.5,1\n0.15,0.2,0,0.5,0\n",
+    "remarks": "# Größe\ntime,x,y,z,closed\n0,0,0,0.5,0\n# später\n"
+    "0.05,0.1,0,0.5,1\n0.15,0.2,0,0.5,0\n",
     "a header in a remark": "# time x y z\n".replace(" ", ",").replace("#,", "# ")
     + "0,0,0,0.5\n0.05,0.1,0,0.5\n0.15,0.2,0,0.5\n",
 }
@@ -703,3 +706,24 @@ def test_a_name_that_is_no_text_is_refused_in_one_line(tmp_path, capsys):
     assert "UTF-8" in told
     assert told.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_pictures_need_no_library_of_bags(tmp_path, out):
+    source = write_folder(tmp_path / "film", film_of(), "open3d")
+    bag = write_ros1(tmp_path / "film.bag", stream(film_of(), ROS1), ROS1)
+    program = """
+import sys
+for name in ("lz4", "mcap", "rosbags", "zstandard", "av"):
+    sys.modules[name] = None
+from clothtrack.cli.command_line import main
+sys.exit(main(sys.argv[1:]))
+"""
+    words = [sys.executable, "-c", program, "import"]
+    done = subprocess.run([*words, source, out], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    done = subprocess.run(
+        [*words, bag, tmp_path / "two"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "install with" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.pairing import pair
+from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.source import StreamFrame
+from clothtrack_capture.importing.times import pair
 
 FILM = Path("film.bag")
 MS = 1_000_000
@@ -19,6 +20,10 @@ def frames(times_ms):
     return [StreamFrame(round(time * MS), k) for k, time in enumerate(times_ms)]
 
 
+def within(tolerance_s):
+    return ImportOptions(tolerance_s=tolerance_s)
+
+
 times = st.lists(st.integers(0, 2000), min_size=1, max_size=30, unique=True)
 
 
@@ -26,7 +31,7 @@ times = st.lists(st.integers(0, 2000), min_size=1, max_size=30, unique=True)
 @given(times, times, st.integers(1, 50))
 def test_laws_of_a_pairing(depth, color, tolerance_ms):
     try:
-        paired = pair(FILM, frames(depth), frames(color), tolerance_ms / 1e3)
+        paired = pair(FILM, frames(depth), frames(color), within(tolerance_ms / 1e3))
     except InvalidRecordingError:
         assert min(abs(d - c) for d in depth for c in color) > tolerance_ms
         return
@@ -47,19 +52,19 @@ def test_laws_of_a_pairing(depth, color, tolerance_ms):
 
 def test_the_usual_tolerance_is_half_the_time_between_depth_pictures():
     depth = np.arange(10) * 40.0
-    paired = pair(FILM, frames(depth), frames(depth + 19), None)
+    paired = pair(FILM, frames(depth), frames(depth + 19), ImportOptions())
     assert paired.tolerance_s == pytest.approx(0.02)
     assert len(paired.pairs) == 10
     with pytest.raises(InvalidRecordingError, match="--tolerance-s"):
-        pair(FILM, frames(depth[:2]), frames([1000.0]), None)
+        pair(FILM, frames(depth[:2]), frames([1000.0]), ImportOptions())
 
 
 def test_the_tolerance_that_is_proposed_is_enough():
     depth, color = frames([0.0, 100.0]), frames([163.4567])
     with pytest.raises(InvalidRecordingError) as caught:
-        pair(FILM, depth, color, 0.01)
+        pair(FILM, depth, color, within(0.01))
     proposed = float(str(caught.value).partition("--tolerance-s ")[2].split()[0])
-    assert len(pair(FILM, depth, color, proposed).pairs) == 1
+    assert len(pair(FILM, depth, color, within(proposed)).pairs) == 1
 
 
 def test_a_constant_offset_is_met_by_the_tolerance_that_is_proposed():
@@ -67,25 +72,27 @@ def test_a_constant_offset_is_met_by_the_tolerance_that_is_proposed():
     depth = np.arange(10) * 100.0
     color = depth + 60.0
     color[0] = 10.0
-    paired = pair(FILM, frames(depth[:9]), frames(np.append(color[:1], color[1:] - 120.0)), 0.02)
+    paired = pair(
+        FILM, frames(depth[:9]), frames(np.append(color[:1], color[1:] - 120.0)), within(0.02)
+    )
     assert len(paired.pairs) == 1
     proposed, count = paired.advice.split()[1], int(paired.advice.split()[3])
     assert count == 8
     more = pair(FILM, frames(depth[:9]), frames(np.append(color[:1], color[1:] - 120.0)),
-                float(proposed))  # fmt: skip
+                within(float(proposed)))  # fmt: skip
     assert len(more.pairs) == 9
     assert more.advice == ""
 
 
 def test_faster_color_and_doubles_are_counted():
     depth = [0.0, 100.0, 100.0, 200.0]
-    paired = pair(FILM, frames(depth), frames(np.arange(0, 210, 50.0)), None)
+    paired = pair(FILM, frames(depth), frames(np.arange(0, 210, 50.0)), ImportOptions())
     assert len(paired.pairs) == 3
     assert (paired.color_alone, paired.doubles) == (2, 1)
 
 
 def test_depth_alone():
-    paired = pair(FILM, frames([5.0, 0.0]), None, None)
+    paired = pair(FILM, frames([5.0, 0.0]), None, ImportOptions())
     assert [one.depth.time_ns for one in paired.pairs] == [0, 5 * MS]
     assert all(one.color is None for one in paired.pairs)
 
@@ -93,4 +100,4 @@ def test_depth_alone():
 @pytest.mark.parametrize(("depth", "color"), [([], [1.0]), ([1.0], [])])
 def test_nothing_to_pair(depth, color):
     with pytest.raises(InvalidRecordingError, match="not one whole"):
-        pair(FILM, frames(depth), frames(color), None)
+        pair(FILM, frames(depth), frames(color), ImportOptions())

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clothtrack_capture.extra import require_capture
 from clothtrack_capture.importing.import_options import ImportOptions
 
 if TYPE_CHECKING:
@@ -35,7 +34,6 @@ def import_recording(
         InvalidConfigError: an option contradicts the source.
         StorageError: the folder exists or the disk refuses.
     """
-    require_capture()
     from clothtrack_capture.importing.import_recording import import_recording as convert
 
     return convert(Path(source), Path(recording), options, progress=progress)

@@ -20,16 +20,7 @@ _CLOCKS_DIFFER_NS = 10**9
 
 @dataclass(frozen=True)
 class BagPaths:
-    """The picker's path in a bag.
-
-    Attributes:
-        paths: path per picker, in `frame`; times [s] count from `start_ns`.
-        start_ns: time of the first position [ns], kept as an integer because seconds since 1970
-            lose digits.
-        frame: "world", "camera" or a frame without a transform to the camera.
-        origins: topic or frame that each item came from.
-        notes: remarks for the user.
-    """
+    """The picker's path in a frame ("world", "camera" or another); times [s] from `start_ns`."""
 
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
     start_ns: int = 0

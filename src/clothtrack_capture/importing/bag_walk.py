@@ -68,21 +68,10 @@ def _container_of(path: Path) -> tuple[type, str] | None:
 
 @dataclass
 class Walk:
-    """The result of one pass through a bag.
+    """What one pass through a bag finds, by topic name; pictures in the order of writing.
 
-    Attributes:
-        pose_topic: topic of the picker's pose, if requested.
-        grip_topic: topic of the gripper, if requested.
-        written: whether the times of writing replace the stamps.
-        topics: every topic.
-        frames: pictures per topic name, in the order of writing.
-        infos: first CameraInfo per topic name; `info_bytes` has its bytes after the stamp.
-        changed: what the first value does not stand for, in words, per topic name.
-        heard: first message per topic name of the SDK's options and poses.
-        tree: TF.
-        poses: (time [ns], frame, position [m]) from the pose topic.
-        grips: (time [ns], message) from the gripper topic.
-        gaps_ns: write time minus header time of the first pictures [ns].
+    `infos` and `heard` hold the first message; `changed` says what it does not stand for.
+    `poses` are (time [ns], frame, position [m]), `grips` (time [ns], message).
     """
 
     pose_topic: str | None = None

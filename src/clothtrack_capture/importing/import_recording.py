@@ -26,15 +26,14 @@ from clothtrack.recordings.store import RecordingWriter
 from clothtrack.recordings.violation import DOCUMENT, Violation
 from clothtrack_capture.extra import require_capture
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.import_report import ImportReport, report_of
+from clothtrack_capture.importing.import_report import Imported, ImportReport, report_of
 from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
 from clothtrack_capture.importing.packed_pictures import PackedPicture
-from clothtrack_capture.importing.pairing import LARGEST_TOLERANCE_S, Pair, pair
 from clothtrack_capture.importing.picker_paths import add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
 from clothtrack_capture.importing.registration import Registration
 from clothtrack_capture.importing.source import Content, Source, StreamFrame, Streams, listed
-from clothtrack_capture.importing.times import timed
+from clothtrack_capture.importing.times import LARGEST_TOLERANCE_S, Pair, pair, timed
 from clothtrack_capture.importing.units import DepthUnit, measured_unit
 
 _MOST_WORKERS = 4
@@ -107,56 +106,57 @@ def import_recording(
     _check(options, folder)
     opened = open_source(source, options)
     try:
-        streams = opened.streams
-        by_name = {"depth": streams.depth}
-        if streams.color is not None:
-            by_name["color"] = streams.color
-        frames, notes = timed(source, by_name, options)
-        pairing = pair(source, frames["depth"], frames.get("color"), options.tolerance_s,
-                       color_offset_s=options.color_offset_s or 0.0)  # fmt: skip
-        first_ns, last_ns = (pairing.pairs[k].depth.time_ns for k in (0, -1))
-        unit = measured_unit(
-            source, streams.unit, (partial(_numbers, opened, one.depth) for one in pairing.pairs),
-            streams.ask_unit,
-        )  # fmt: skip
-        pose, table = _world(options, streams)
-        known = pose is not None
-        pose = np.eye(4) if pose is None else pose
-        paths, text = placed_paths(
-            source, streams, options, pose=pose, first_ns=first_ns, last_ns=last_ns, posed=known
-        )
-        registration = Registration(streams.calibration, unit.stored_m)
-        camera = _camera(source, registration, streams, pose)
-        cloth = ClothDescription(kind=options.cloth, color=options.cloth_color)
-        with _said_of_the_source(source, streams, unit, options), RecordingWriter(
-            folder,
-            [camera],
-            {camera.name: unit.stored_m},
-            table=table,
-            cloth=cloth,
-            provenance=_provenance(source, streams, unit),
-        ) as writer:  # fmt: skip
-            masks = {mask.time_ns: mask for mask in streams.mask}
-            job = _Job(opened, registration, unit, masks)
-            times, damaged = _write_frames(
-                writer, job, pairing.pairs, workers=_workers(options), progress=progress
-            )
-            if not times:
-                reason, count = damaged.most_common(1)[0]
-                raise InvalidRecordingError(
-                    f"{source}: none of {count} frames can be decoded: {reason}"
-                    + _lens_remedy(reason, streams, options)
-                )
-            actions, more = add_pickers(writer, paths, times, options.actions)
+        done = _convert(source, folder, opened, options, progress)
     finally:
         opened.close()
+    return report_of(source, folder, done, options)
+
+
+def _convert(
+    source: Path, folder: Path, opened: Source, options: ImportOptions, progress: Progress | None
+) -> Imported:
+    """Write the recording of an opened source."""
+    streams = opened.streams
+    frames, notes = timed(source, streams, options)
+    pairing = pair(source, frames["depth"], frames.get("color"), options)
+    first_ns, last_ns = (pairing.pairs[k].depth.time_ns for k in (0, -1))
+    decoded = (partial(_numbers, opened, one.depth) for one in pairing.pairs)
+    unit = measured_unit(source, streams.unit, decoded, streams.ask_unit)
     if unit.swapped:
         notes.append("the two bytes of each depth stood in the wrong order and were exchanged")
-    return report_of(
-        source, folder, streams, pairing, registration, unit,
-        camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
-        notes=[*notes, *text, *more], posed=known, table=table is not None,
-        cloth=cloth, masks=job.masks,
+    pose, table = _world(options, streams)
+    posed, pose = pose is not None, np.eye(4) if pose is None else pose
+    paths, text = placed_paths(
+        source, streams, options, pose=pose, first_ns=first_ns, last_ns=last_ns, posed=posed
+    )
+    registration = Registration(streams.calibration, unit.stored_m)
+    job = _Job(opened, registration, unit)
+    with _said_of_the_source(source, streams, unit, options), RecordingWriter(
+        folder,
+        [_camera(source, registration, streams, pose)],
+        {CAMERA: unit.stored_m},
+        table=table,
+        cloth=ClothDescription(kind=options.cloth, color=options.cloth_color),
+        provenance={
+            "imported_from": source.name,
+            "format": streams.kind,
+            "streams": dict(streams.origins),
+            "depth_unit_origin": unit.origin,
+            "registered_by_import": not streams.calibration.registered,
+        },
+    ) as writer:  # fmt: skip
+        workers = options.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
+        times, damaged = _write_frames(writer, job, pairing.pairs, workers, progress)
+        if not times:
+            reason, count = damaged.most_common(1)[0]
+            raise InvalidRecordingError(
+                f"{source}: none of {count} frames can be decoded: {reason}"
+                + _lens_remedy(reason, streams, options)
+            )
+        actions, more = add_pickers(writer, paths, times, options.actions)
+    return Imported(
+        streams, pairing, registration, unit, times, damaged, job.masks, paths, actions,
+        [*notes, *text, *more], posed, table is not None,
     )  # fmt: skip
 
 
@@ -206,69 +206,69 @@ def _write_frames(
     writer: RecordingWriter,
     job: "_Job",
     pairs: Sequence[Pair],
-    *,
     workers: int,
     progress: Progress | None,
 ) -> tuple[list[float], Counter[str]]:
     """Write all decodable pairs; return their times and the reasons why others failed."""
-    start_ns = pairs[0].depth.time_ns
     times: list[float] = []
     damaged: Counter[str] = Counter()
-    for done, (moment, result) in enumerate(_in_order(job, pairs, workers), start=1):
-        if isinstance(result, TruncatedError):
-            damaged[str(result)] += 1
-        else:
-            time_s = (moment.depth.time_ns - start_ns) / 1e9
-            writer.add_encoded_frame(time_s, {kind: {CAMERA: png} for kind, png in result.items()})
-            times.append(time_s)
-        if progress is not None:
-            progress(f"frame {done}/{len(pairs)}", done, len(pairs))
+    with ThreadPoolExecutor(workers) as pool:
+        waiting: deque[Future[dict[str, bytes]] | TruncatedError] = deque()
+        try:
+            for done, moment in enumerate(pairs):
+                # Only a few pictures are in memory at a time.
+                while len(waiting) <= workers + 1 and done + len(waiting) < len(pairs):
+                    waiting.append(job.start(pool, pairs[done + len(waiting)]))
+                started = waiting.popleft()
+                try:
+                    if isinstance(started, TruncatedError):
+                        raise started
+                    encoded = started.result()
+                except TruncatedError as error:
+                    damaged[str(error)] += 1
+                else:
+                    times.append((moment.depth.time_ns - pairs[0].depth.time_ns) / 1e9)
+                    shown = {kind: {CAMERA: png} for kind, png in encoded.items()}
+                    writer.add_encoded_frame(times[-1], shown)
+                if progress is not None:
+                    progress(f"frame {done + 1}/{len(pairs)}", done + 1, len(pairs))
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
     return times, damaged
 
 
-_Encoded = dict[str, bytes]
-"""The PNG of each kind of picture of a frame."""
-
-
 class _Job:
-    """A job that reads a pair, and decodes, registers and encodes it in another thread."""
+    """A job that reads the pictures of a moment, and converts them in another thread."""
 
-    def __init__(
-        self,
-        source: Source,
-        registration: Registration,
-        unit: DepthUnit,
-        masks: dict[int, StreamFrame],
-    ) -> None:
-        self._source, self._registration, self._unit = source, registration, unit
-        self._masks, self.masks = masks, 0
-
-    def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
-        """Read the bytes here, in file order, and do the rest in the pool."""
-        frames = {"depth": moment.depth}
-        if moment.color is not None:
-            frames["color"] = moment.color
-        mask = self._masks.get(moment.depth.time_ns)
-        if mask is not None:
-            frames["mask"] = mask
-            self.masks += 1
-        try:
-            read = {kind: self._source.picture(kind, frame) for kind, frame in frames.items()}
-        except TruncatedError as error:
-            return error
-        return pool.submit(self._run, read)
-
-    def _run(self, read: dict[str, Callable[[], Content]]) -> _Encoded:
-        to, unit = self._registration, self._unit
-        how = {
+    def __init__(self, source: Source, to: Registration, unit: DepthUnit) -> None:
+        self._source, self.masks = source, 0
+        self._masks = {mask.time_ns: mask for mask in source.streams.mask}
+        # Per kind: whether a picture of this size is copied as it is, and how it is converted.
+        self._how = {
             "depth": (
                 to.keeps_depth if unit.copied else _never,
                 lambda numbers: to.depth(unit.counts(numbers)),
             ),
             "color": (to.keeps_color, to.color),
-            "mask": (_never, to.mask),
+            "mask": (_never, partial(to.color, nearest=True)),
         }
-        return {kind: _png_of(decode(), *how[kind]) for kind, decode in read.items()}
+
+    def start(
+        self, pool: ThreadPoolExecutor, moment: Pair
+    ) -> "Future[dict[str, bytes]] | TruncatedError":
+        """Read the bytes here, in file order, and do the rest in the pool."""
+        mask = self._masks.get(moment.depth.time_ns)
+        self.masks += mask is not None
+        frames = {"depth": moment.depth, "color": moment.color, "mask": mask}
+        try:
+            read = {kind: self._source.picture(kind, frame)
+                    for kind, frame in frames.items() if frame is not None}  # fmt: skip
+        except TruncatedError as error:
+            return error
+        return pool.submit(self._run, read)
+
+    def _run(self, read: dict[str, Callable[[], Content]]) -> dict[str, bytes]:
+        return {kind: _png_of(decode(), *self._how[kind]) for kind, decode in read.items()}
 
 
 def _never(size: tuple[int, int]) -> bool:  # noqa: ARG001
@@ -287,38 +287,6 @@ def _png_of(
             return png
         content = content.decode()
     return encode_png(carry(content), by_rows=True)
-
-
-def _in_order(
-    job: _Job, pairs: Sequence[Pair], workers: int
-) -> Iterator[tuple[Pair, _Encoded | TruncatedError]]:
-    """Yield every pair with its result, in order, with only a few in memory at a time."""
-    waiting: deque[tuple[Pair, Future[_Encoded] | TruncatedError]] = deque()
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            for moment in pairs:
-                waiting.append((moment, job.start(pool, moment)))
-                if len(waiting) > workers + 1:
-                    yield _finished(*waiting.popleft())
-            while waiting:
-                yield _finished(*waiting.popleft())
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _finished(
-    moment: Pair, started: "Future[_Encoded] | TruncatedError"
-) -> tuple[Pair, _Encoded | TruncatedError]:
-    if isinstance(started, TruncatedError):
-        return moment, started
-    try:
-        return moment, started.result()
-    except TruncatedError as error:
-        return moment, error
-
-
-def _workers(options: ImportOptions) -> int:
-    return options.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
 
 
 def _check(options: ImportOptions, folder: Path) -> None:
@@ -388,13 +356,3 @@ def _camera(
             f"{source}: the intrinsics ({streams.calibration.origin}): {error}; give --intrinsics "
             "FILE"
         ) from error
-
-
-def _provenance(source: Path, streams: Streams, unit: DepthUnit) -> dict[str, object]:
-    return {
-        "imported_from": source.name,
-        "format": streams.kind,
-        "streams": dict(streams.origins),
-        "depth_unit_origin": unit.origin,
-        "registered_by_import": not streams.calibration.registered,
-    }

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.recording import ClothDescription, PickAndPlace, PickerPath
-from clothtrack_capture.importing.pairing import Pairing
+from clothtrack.recordings.recording import PickAndPlace, PickerPath
+from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.registration import Registration
 from clothtrack_capture.importing.source import Streams
+from clothtrack_capture.importing.times import Pairing
 from clothtrack_capture.importing.units import DepthUnit
 
 
@@ -94,70 +94,61 @@ class ImportReport:
         return content
 
 
-def report_of(
-    source: Path,
-    folder: Path,
-    streams: Streams,
-    pairing: Pairing,
-    registration: Registration,
-    unit: DepthUnit,
-    *,
-    camera: Camera,
-    times: Sequence[float],
-    damaged: Counter[str],
-    paths: Mapping[str, PickerPath],
-    actions: Sequence[PickAndPlace],
-    notes: Sequence[str],
-    posed: bool,
-    table: bool,
-    cloth: ClothDescription,
-    masks: int,
-) -> ImportReport:
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """What an import made of a source; times in seconds."""
+
+    streams: Streams
+    pairing: Pairing
+    registration: Registration
+    unit: DepthUnit
+    times: Sequence[float]
+    damaged: Counter[str]
+    masks: int
+    paths: Mapping[str, PickerPath]
+    actions: Sequence[PickAndPlace]
+    notes: Sequence[str]
+    posed: bool
+    table: bool
+
+
+def report_of(source: Path, folder: Path, done: Imported, options: ImportOptions) -> ImportReport:
     """Return the report of an import."""
-    duration = times[-1] - times[0]
+    duration, lens = done.times[-1] - done.times[0], done.registration.intrinsics
+    # With a picker path, a calibration must not change the recording's world.
+    aside = " --output camera.json" if done.paths else ""
+    following = f"clothtrack calibrate-camera {folder}{aside}"
+    if done.table:
+        following = f"clothtrack inspect {folder}"
+    elif done.posed:
+        following = f"clothtrack calibrate-camera {folder} --keep-world"
     return ImportReport(
         recording=folder,
         source=source,
-        kind=streams.kind,
-        frames=len(times),
+        kind=done.streams.kind,
+        frames=len(done.times),
         duration_s=duration,
-        frames_per_s=(len(times) - 1) / duration if duration > 0 else 0.0,
-        camera=(
-            f"{camera.name}, {camera.width} x {camera.height}, fx {camera.fx:.1f}"
-            + ("" if posed else ", pose not known: its frame stands in for the world")
-        ),
-        streams=streams.origins,
-        depth_unit_m=unit.stored_m,
-        depth_unit_origin=unit.origin + ", stored in 0.1 mm" * unit.is_float,
-        registration=_registration(streams, registration),
-        tolerance_s=pairing.tolerance_s,
-        worst_apart_s=pairing.worst_s,
-        dropped=_dropped(pairing, damaged),
-        notes=[*streams.notes, *notes],
-        pickers={name: len(path.time_s) for name, path in paths.items()},
-        actions=[(action.first_frame, action.last_frame) for action in actions],
-        missing=_missing(
-            folder, streams, pickers=bool(paths), actions=bool(actions), posed=posed,
-            table=table, cloth=cloth, masks=masks,
-        ),
-        next_command=(
-            f"clothtrack inspect {folder}"
-            if table
-            else f"clothtrack calibrate-camera {folder} --keep-world"
-            if posed
-            else f"clothtrack calibrate-camera {folder}{_aside(paths)}"
-        ),
-    )  # fmt: skip
+        frames_per_s=(len(done.times) - 1) / duration if duration > 0 else 0.0,
+        camera=f"camera, {lens.width} x {lens.height}, fx {lens.fx:.1f}"
+        + ("" if done.posed else ", pose not known: its frame stands in for the world"),
+        streams=done.streams.origins,
+        depth_unit_m=done.unit.stored_m,
+        depth_unit_origin=done.unit.origin + ", stored in 0.1 mm" * done.unit.is_float,
+        registration=_registration(done),
+        tolerance_s=done.pairing.tolerance_s,
+        worst_apart_s=done.pairing.worst_s,
+        dropped=_dropped(done.pairing, done.damaged),
+        notes=[*done.streams.notes, *done.notes],
+        pickers={name: len(path.time_s) for name, path in done.paths.items()},
+        actions=[(action.first_frame, action.last_frame) for action in done.actions],
+        missing=_missing(folder, done, options, aside),
+        next_command=following,
+    )
 
 
-def _aside(pickers: object) -> str:
-    """Return the option that keeps a calibration from changing a recording with a picker path."""
-    return " --output camera.json" if pickers else ""
-
-
-def _registration(streams: Streams, registration: Registration) -> str:
-    calibration = streams.calibration
-    if registration.carried:
+def _registration(done: Imported) -> str:
+    calibration = done.streams.calibration
+    if done.registration.carried:
         return "depth carried to the color camera, nearest wins, uncovered pixels 0"
     if not calibration.depth.straight:
         return "none needed; distortion taken out"
@@ -165,66 +156,52 @@ def _registration(streams: Streams, registration: Registration) -> str:
 
 
 def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
-    dropped = []
-    if pairing.depth_alone:
-        advice = f" ({pairing.advice})" if pairing.advice else ""
-        dropped.append(
-            f"{pairing.depth_alone} depth pictures without color near enough in time{advice}"
-        )
-    if pairing.color_alone:
-        dropped.append(f"{pairing.color_alone} color pictures without depth near enough in time")
-    if pairing.doubles:
-        dropped.append(f"{pairing.doubles} depth pictures with the time stamp of another")
-    dropped += [f"{count} frames: {reason}" for reason, count in damaged.most_common(5)]
-    if len(damaged) > 5:
-        rest = sum(damaged.values()) - sum(count for _, count in damaged.most_common(5))
-        dropped.append(f"{rest} more frames that cannot be decoded")
-    return dropped
+    advice = f" ({pairing.advice})" if pairing.advice else ""
+    counts = {
+        f"depth pictures without color near enough in time{advice}": pairing.depth_alone,
+        "color pictures without depth near enough in time": pairing.color_alone,
+        "depth pictures with the time stamp of another": pairing.doubles,
+    }
+    counts |= {f"frames: {reason}": count for reason, count in damaged.most_common(5)}
+    counts["more frames that cannot be decoded"] = sum(
+        count for _, count in damaged.most_common()[5:]
+    )
+    return [f"{count} {what}" for what, count in counts.items() if count]
 
 
-def _missing(
-    folder: Path,
-    streams: Streams,
-    *,
-    pickers: bool,
-    actions: bool,
-    posed: bool,
-    table: bool,
-    cloth: ClothDescription,
-    masks: int,
-) -> list[str]:
+def _missing(folder: Path, done: Imported, options: ImportOptions, aside: str) -> list[str]:
     missing = []
-    if not posed:
+    if not done.posed:
         again = (
             "; then import again with --world-from-camera camera.json, so that the path "
             "stands in the same world"
         )  # fmt: skip
         missing.append(
             "the table and the camera's pose (world_from_camera): clothtrack calibrate-camera "
-            f"{folder}{_aside(pickers)} finds both{again if pickers else ''}"
+            f"{folder}{aside} finds both{again if done.paths else ''}"
         )
-    elif not table:
+    elif not done.table:
         missing.append(f"the table: clothtrack calibrate-camera {folder} --keep-world finds it")
-    if not pickers:
+    if not done.paths:
         missing.append(
             f"the picker's path: clothtrack find-picker {folder} finds a colored tip in the "
             "pictures (--tip-color NAME), or a bare hand by clicks (--by-hand); or write "
             "picker.csv (docs/data_format.md), or import again with --picker-csv, --picker-topic "
             "or --picker-frame"
         )
-    elif not actions:
+    elif not done.actions:
+        gripper = "" if options.gripper_topic else "--gripper-topic, a column `closed`, or "
         missing.append(
-            "actions: the path never closes; import again with --gripper-topic, a column `closed`, "
-            "or --actions FIRST-LAST"
+            f"actions: the path never closes; import again with {gripper}--actions FIRST-LAST"
         )
-    if cloth.kind not in ("towel", "tshirt"):
+    if options.cloth == "other":
         missing.append(
             "the cloth's kind: --cloth towel or tshirt, or cloth.kind in recording.json; any other "
             "garment needs a template (clothtrack garment)"
-            if cloth.kind == "other"
-            else f"a template: {cloth.kind} are tracked from one (clothtrack garment)"
         )
-    if streams.color is not None and cloth.color is None and not masks:
+    elif options.cloth == "trousers":
+        missing.append("a template: trousers are tracked from one (clothtrack garment)")
+    if done.streams.color is not None and options.cloth_color is None and not done.masks:
         missing.append(
             f"which pixels are cloth: clothtrack segment {folder} by a click, or its color by "
             "--cloth-color NAME, or cloth.color in recording.json"

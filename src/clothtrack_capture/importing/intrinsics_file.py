@@ -25,7 +25,7 @@ _FIELDS = (
 """Type and limits of every number in the file."""
 _SPELLINGS = {
     "width": ("image_width", "w"), "height": ("image_height", "h"), "cx": ("ppx",), "cy": ("ppy",),
-    "distortion": ("coeffs", "distortion_coefficients", "D", "d"),
+    "model": ("distortion_model",), "distortion": ("coeffs", "distortion_coefficients", "D", "d"),
     "matrix": ("intrinsic_matrix", "camera_matrix", "cam_K", "K", "k", "intrinsic", "intrinsics"),
 }  # fmt: skip
 """Other programs' names of the fields."""
@@ -33,25 +33,15 @@ _NESTED = ("intrinsics", "intrinsic", "camera", "camera_info", "color", "rgb")
 _BROWN, _FISHEYE = ("brown", "plumb_bob", "rational_polynomial"), ("fisheye", "equidistant")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 _KNOWN = {
-    "fx", "fy", "fps", "depth_scale", "model", "depth", "color", "color_from_depth", "serial",
-    "name", "comment", "distortion_model", *_NESTED, *_COEFFICIENTS, *_SPELLINGS,
+    "fx", "fy", "fps", "depth_scale", "depth", "color", "color_from_depth", "serial",
+    "name", "comment", *_NESTED, *_COEFFICIENTS, *_SPELLINGS,
     *(name for names in _SPELLINGS.values() for name in names),
 }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicsFile:
-    """The content of the file.
-
-    Attributes:
-        path: the file.
-        depth: intrinsics of the depth pictures.
-        color: intrinsics of the color pictures.
-        color_from_depth: rigid transform, depth camera to color camera [m].
-        fps: pictures per second [1/s], if the file has it.
-        unit: unit of depth, if the file has it.
-        notes: what in it was not used.
-    """
+    """The content of the file; the transform is rigid, depth camera to color camera [m]."""
 
     path: Path
     depth: Intrinsics
@@ -132,40 +122,37 @@ def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
         raise InvalidRecordingError(f"{path}: {place.rstrip('.')} is not an object")
     for name in _NESTED:
         if isinstance(content.get(name), dict) and not {"fx", "width"} <= content.keys():
-            content = content | content[name]
-            place = place or f"{name}."
+            content, place = content | content[name], place or f"{name}."
     for name, spellings in _SPELLINGS.items():
-        known = [content[other] for other in spellings if content.get(other) is not None]
-        if content.get(name) is None and known:
-            content = content | {name: known[0]}
+        known = [content[one] for one in (name, *spellings) if content.get(one) is not None]
+        content = content | ({name: known[0]} if known else {})
     content = content | _of_matrix(f"{path}: {place}", content.get("matrix"))
-    numbers = {
-        name: _number(f"{path}: {place}", content, name)
-        for name in ("width", "height", "fx", "fy", "cx", "cy")
-    }
-    coefficients = content.get("distortion", [])
-    if isinstance(coefficients, dict):
-        coefficients = coefficients.get("data")
-    if not coefficients and content.keys() & {*_COEFFICIENTS}:
-        coefficients = [content.get(name, 0.0) for name in _COEFFICIENTS]
-    if not isinstance(coefficients, list) or not all(
-        isinstance(value, int | float) for value in coefficients
-    ):
-        raise InvalidRecordingError(
-            f"{path}: {place}distortion is {str(coefficients)[:40]!r}; give a list of numbers such "
-            "as [0, 0, 0, 0, 0], or leave it out"
-        )
-    model = content.get("model", content.get("distortion_model", "brown"))
+    numbers = {name: _number(f"{path}: {place}", content, name)
+               for name in ("width", "height", "fx", "fy", "cx", "cy")}  # fmt: skip
+    model = content.get("model", "brown")
     if model not in (*_BROWN, *_FISHEYE):
         raise InvalidRecordingError(
             f'{path}: {place}model is {model!r}; write "brown" or "fisheye"'
         )
     try:
-        return Intrinsics(
-            **numbers, distortion=tuple(map(float, coefficients)), fisheye=model in _FISHEYE
-        )
+        return Intrinsics(**numbers, distortion=_distortion(f"{path}: {place}", content),
+                          fisheye=model in _FISHEYE)  # fmt: skip
     except (InvalidRecordingError, OverflowError) as error:
         raise InvalidRecordingError(f"{path}: {place}{error}") from error
+
+
+def _distortion(place: str, content: dict[str, Any]) -> tuple[float, ...]:
+    values = content.get("distortion", [])
+    if isinstance(values, dict):
+        values = values.get("data")
+    if not values and content.keys() & {*_COEFFICIENTS}:
+        values = [content.get(name, 0.0) for name in _COEFFICIENTS]
+    if not isinstance(values, list) or not all(isinstance(one, int | float) for one in values):
+        raise InvalidRecordingError(
+            f"{place}distortion is {str(values)[:40]!r}; give a list of numbers such as "
+            "[0, 0, 0, 0, 0], or leave it out"
+        )
+    return tuple(map(float, values))
 
 
 def _of_matrix(place: str, matrix: Any) -> dict[str, Any]:

@@ -81,17 +81,13 @@ class Registration:
             # Keep the low 16 bits, which are 0 where nothing was painted.
             return self._painted.astype(np.uint16)
 
-    def mask(self, picture: UInt8[np.ndarray, "_ _"]) -> UInt8[np.ndarray, "_ _"]:
-        """Return a mask of the color picture without distortion."""
+    def color(
+        self, picture: UInt8[np.ndarray, "_ _ *channels"], *, nearest: bool = False
+    ) -> UInt8[np.ndarray, "_ _ *channels"]:
+        """Return the color picture, or a mask of it (`nearest`), without distortion."""
         intrinsics = self._calibration.color or self._calibration.depth
         _check_size(picture.shape[1::-1], intrinsics)
-        return intrinsics.straighten(picture, nearest=True)
-
-    def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-        """Return the color picture without distortion."""
-        intrinsics = self._calibration.color or self._calibration.depth
-        _check_size(picture.shape[1::-1], intrinsics)
-        return intrinsics.straighten(picture)
+        return intrinsics.straighten(picture, nearest=nearest)
 
 
 def _check_size(size: tuple[int, ...], intrinsics: Intrinsics) -> None:

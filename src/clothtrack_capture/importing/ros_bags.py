@@ -125,12 +125,7 @@ class BagSource:
         depth = self._find_intrinsics(self._depth_topic)
         if self._color_topic is None:
             return StereoCalibration(depth, None, np.eye(4), "camera_info"), []
-        try:
-            pose = self._find_pose(self._depth_topic, self._color_topic)
-        except TruncatedError as error:
-            raise InvalidRecordingError(
-                f"{self._path}: {error}; give the pose with --intrinsics FILE"
-            ) from error
+        pose = self._find_pose(self._depth_topic, self._color_topic)
         color = self._find_intrinsics(self._color_topic)
         return StereoCalibration(depth, color, pose, "camera_info"), []
 
@@ -173,7 +168,12 @@ class BagSource:
         return intrinsics_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
 
     def _find_pose(self, depth: Topic, color: Topic) -> Float[np.ndarray, "4 4"]:
-        pose = realsense.color_from_depth(self._walk.heard, depth, color)
+        try:
+            pose = realsense.color_from_depth(self._walk.heard, depth, color)
+        except TruncatedError as error:
+            raise InvalidRecordingError(
+                f"{self._path}: {error}; give the pose with --intrinsics FILE"
+            ) from error
         if pose is not None:
             return pose
         here, there = self._frame(depth), self._frame(color)
@@ -182,8 +182,9 @@ class BagSource:
         if here and there and self._walk.tree.connects(there, here):
             _, frame = self._first(depth)
             return self._walk.tree.lookup(there, here, np.array([frame.time_ns]))[0]
-        raise TruncatedError(
-            f"depth is in frame {here!r} and color in frame {there!r}, and no TF ties them"
+        raise InvalidRecordingError(
+            f"{self._path}: depth is in frame {here!r} and color in frame {there!r}, and no TF "
+            "ties them; give the pose with --intrinsics FILE"
         )
 
     def _frame(self, topic: Topic) -> str:
@@ -205,10 +206,8 @@ class BagSource:
             world = self._world_from_camera(camera_frame, options.world_frame)
         picker = bag_paths(self._path, self._walk, options, camera_frame)
         used = [*origins.values(), options.picker_topic or "", options.gripper_topic or ""]
-        rest = [topic for topic in self._walk.topics if topic.name in self._walk.frames
-                or topic.kind not in ("sensor_msgs/msg/Image", COMPRESSED)]  # fmt: skip
-        if options.without_color:
-            rest = [topic for topic in rest if topic.name not in self._walk.frames]
+        rest = [topic for topic in self._walk.topics
+                if not (options.without_color and topic.name in self._walk.frames)]  # fmt: skip
         recorder = " of the RealSense SDK" if realsense.is_stream(self._depth_topic) else ""
         return Streams(
             kind=words + recorder,

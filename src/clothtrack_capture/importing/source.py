@@ -31,14 +31,7 @@ def listed(names: Sequence[str], most: int = 8) -> str:
 
 @dataclass(frozen=True, slots=True)
 class StreamFrame:
-    """One picture of a stream.
-
-    Attributes:
-        time_ns: its time stamp [ns]; without one, the time of writing.
-        place: position in the source.
-        written_ns: when it was written [ns]; None if the source does not tell.
-        stamped: whether it has a time stamp.
-    """
+    """One picture: its time stamp (or else its time of writing) and its place in the source."""
 
     time_ns: int
     place: Any
@@ -48,14 +41,7 @@ class StreamFrame:
 
 @dataclass(frozen=True, eq=False)
 class StereoCalibration:
-    """The intrinsics and relative pose of a depth camera's two sensors.
-
-    Attributes:
-        depth: intrinsics of the depth pictures.
-        color: intrinsics of the color pictures; None without color.
-        color_from_depth: rigid transform, depth camera to color camera [m].
-        origin: where they come from, in words.
-    """
+    """The intrinsics and the relative pose [m] of a depth camera's two sensors."""
 
     depth: Intrinsics
     color: Intrinsics | None
@@ -73,22 +59,11 @@ class StereoCalibration:
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """The content of a source.
+    """The content of a source; what is not known is None.
 
-    Attributes:
-        kind: name of the format ("ROS 1 bag").
-        calibration: intrinsics.
-        unit: unit of depth as the source or the user tells it; None if nobody does.
-        ask_unit: message where nobody tells the unit.
-        depth: all complete depth pictures, in the order of writing.
-        color: all complete color pictures; None without a color stream.
-        mask: masks of the cloth, for the pictures of the same time.
-        origins: topic, track or folder that each item came from.
-        notes: what was decided, lost or left out.
-        paths: picker paths in `path_frame`; times [s] count from `path_start_ns`.
-        path_frame: description of the frame of `paths`.
-        path_start_ns: zero of their times, on the clock of the pictures [ns].
-        world_from_camera: pose of the recording's camera, if the source knows it.
+    Pictures stand in the order of writing; a mask belongs to the pictures of its time. `paths` are
+    in `path_frame`, their times [s] count from `path_start_ns` on the clock of the pictures.
+    `ask_unit` is the message where nobody tells the unit.
     """
 
     kind: str

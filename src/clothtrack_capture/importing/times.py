@@ -1,7 +1,10 @@
-"""When each picture was taken: its time stamp, and what the order and the times of writing say."""
+"""When each picture was taken, and which belong together.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+A time stamp is believed if the order of writing, its times and the other stream agree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +12,10 @@ from jaxtyping import Int64
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.source import StreamFrame
+from clothtrack_capture.importing.source import StreamFrame, Streams
 
+LARGEST_TOLERANCE_S = 1.0
+_LONE_TOLERANCE_NS = 20e6
 _TWO_CLOCKS_NS = 5e8
 """Difference between depth and color, each stamp against its time of writing, of two clocks."""
 _JUMP_STEPS, _LEAST_JUMP_NS = 100, 1e9
@@ -21,11 +26,13 @@ only written in another order; a clock that was set back fills that time twice, 
 
 
 def timed(
-    source: Path, streams: Mapping[str, Sequence[StreamFrame]], options: ImportOptions
+    source: Path, streams: Streams, options: ImportOptions
 ) -> tuple[dict[str, list[StreamFrame]], list[str]]:
     """Return the pictures of each stream with their times, in the order of writing, and remarks."""
     notes: list[str] = []
-    result = {name: list(frames) for name, frames in streams.items()}
+    result = {"depth": list(streams.depth)}
+    if streams.color is not None:
+        result["color"] = list(streams.color)
     if options.stamps == "written":
         for name, frames in result.items():
             if any(frame.written_ns is None for frame in frames):
@@ -163,3 +170,112 @@ def _jumps(
 
 def _times(frames: Sequence[StreamFrame]) -> Int64[np.ndarray, " frames"]:
     return np.array([frame.time_ns for frame in frames], dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A depth picture and its color picture, or None if there is no color stream."""
+
+    depth: StreamFrame
+    color: StreamFrame | None
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """The pairs in order of time, what was left out, and the tolerance that would take in more."""
+
+    pairs: tuple[Pair, ...]
+    tolerance_s: float
+    depth_alone: int
+    color_alone: int
+    doubles: int
+    worst_s: float
+    advice: str = ""
+
+
+def pair(
+    path: Path,
+    depth: Sequence[StreamFrame],
+    color: Sequence[StreamFrame] | None,
+    options: ImportOptions,
+) -> Pairing:
+    """Pair depth and color by time: each the other's nearest, within the tolerance.
+
+    Args:
+        path: path of the source, for error messages.
+        depth: depth pictures in any order.
+        color: color pictures in any order, or None if there is no color stream.
+        options: options with the largest time difference [s]; half the time between depth
+            pictures by default.
+    """
+    if not depth:
+        raise InvalidRecordingError(
+            f"{path}: not one whole depth picture; record it again, or name others"
+        )
+    ordered = sorted(depth, key=lambda frame: frame.time_ns)
+    single = [
+        frame for k, frame in enumerate(ordered) if not k or frame.time_ns > ordered[k - 1].time_ns
+    ]
+    doubles = len(ordered) - len(single)
+    times = np.array([frame.time_ns for frame in single])
+    tolerance = _tolerance_ns(times, options.tolerance_s)
+    if color is None:
+        pairs = tuple(Pair(frame, None) for frame in single)
+        return Pairing(pairs, tolerance / 1e9, 0, 0, doubles, 0.0)
+    if not color:
+        raise InvalidRecordingError(
+            f"{path}: not one whole color picture; give --without-color to import depth alone"
+        )
+    others = sorted(color, key=lambda frame: frame.time_ns)
+    other_times = np.array([frame.time_ns for frame in others])
+    mine, yours = _nearest(times, other_times), _nearest(other_times, times)
+    apart = np.abs(times - other_times[mine])
+    mutual = yours[mine] == np.arange(len(times))
+    chosen = np.flatnonzero(mutual & (apart <= tolerance))
+    advice = _advice(apart[mutual & (apart > tolerance)])
+    if not len(chosen):
+        if not advice:
+            offset_s = (options.color_offset_s or 0.0) + (int(times[0]) - int(other_times[0])) / 1e9
+            advice = f"--color-offset-s {offset_s:.3f} if color has a clock of its own"
+        raise InvalidRecordingError(
+            f"{path}: no color picture within {tolerance / 1e6:.1f} ms of a depth picture; the "
+            f"nearest is {apart.min() / 1e6:.1f} ms away; give {advice}, or --without-color"
+        )
+    return Pairing(
+        tuple(Pair(single[k], others[mine[k]]) for k in chosen.tolist()),
+        tolerance / 1e9,
+        len(single) - len(chosen),
+        len(others) - len(chosen),
+        doubles,
+        float(apart[chosen].max()) / 1e9,
+        advice,
+    )
+
+
+def _advice(apart: np.ndarray) -> str:
+    """Return the flag that includes half of the pairs that are too far apart [ns], and its cost."""
+    if not len(apart):
+        return ""
+    tolerance_ms = float(np.ceil(np.median(apart) / 1e6 + 0.5))
+    if tolerance_ms > 1e3 * LARGEST_TOLERANCE_S:
+        return ""
+    count = int((apart <= tolerance_ms * 1e6).sum())
+    frames = "1 frame" if count == 1 else f"{count} frames"
+    return (
+        f"--tolerance-s {tolerance_ms / 1e3:.3f} for {frames} more, if nothing moves much in "
+        f"{tolerance_ms:.0f} ms"
+    )
+
+
+def _tolerance_ns(times: np.ndarray, asked_s: float | None) -> float:
+    if asked_s is not None:
+        return asked_s * 1e9
+    return float(np.median(np.diff(times))) / 2 if len(times) > 1 else _LONE_TOLERANCE_NS
+
+
+def _nearest(times: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the index of the nearest of `others` (sorted) for each time."""
+    after = np.searchsorted(others, times).clip(1, max(len(others) - 1, 1))
+    if len(others) == 1:
+        return np.zeros(len(times), dtype=int)
+    return np.where(times - others[after - 1] <= others[after] - times, after - 1, after)

@@ -54,23 +54,17 @@ def choose_depth(
     """Return the topic of depth; `encoding` tells that of a topic's first picture."""
     pictures = [topic for topic in topics if is_picture(topic)]
     # The plain `compressed` of a depth topic keeps what was measured as a PNG of 16 bits alone.
-    lossy = {
-        topic for topic in pictures
-        if topic.name.endswith("/compressed") and encoding(topic) != PNG_DEPTH
-    }  # fmt: skip
-    able = [topic for topic in pictures if topic not in lossy]
-    named = [topic for topic in lossy if asked in (topic.name, base_name(topic.name))]
-    near = named or [topic for topic in lossy if any(_is_like(topic, one) for one in _DEPTH)]
-    hint = ""
-    if near:
-        hint = (
-            f"; {near[0].name} is {encoding(near[0])!r}, which changes depth: record image_raw or "
-            "compressedDepth"
-        )
-    return _choose(
-        path, able, _DEPTH, asked,
-        what="depth", flag="--depth-topic", every=f"{topic_list(topics)}{hint}",
+    able = [topic for topic in pictures
+            if not topic.name.endswith("/compressed") or encoding(topic) == PNG_DEPTH]  # fmt: skip
+    lossy = [topic for topic in pictures if topic not in able and (
+        base_name(topic.name) == base_name(asked) if asked
+        else any(_is_like(topic, pattern) for pattern in _DEPTH)
+    )]  # fmt: skip
+    hint = "" if not lossy else (
+        f"; {lossy[0].name} is {encoding(lossy[0])!r}, which changes depth: record image_raw or "
+        "compressedDepth"
     )  # fmt: skip
+    return _choose(path, able, _DEPTH, asked, ("depth", "--depth-topic", topic_list(topics) + hint))
 
 
 def choose_color(
@@ -81,30 +75,22 @@ def choose_color(
     encoding: Callable[[Topic], str],
 ) -> Topic | None:
     """Return the topic of color: by its usual name, else the only other one; None if none is."""
-    able = [
-        topic
-        for topic in topics
-        if is_picture(topic)
-        and not topic.name.endswith("/compressedDepth")
-        and base_name(topic.name) != base_name(depth.name)
-    ]
+    able = [topic for topic in topics
+            if is_picture(topic) and not topic.name.endswith("/compressedDepth")
+            and base_name(topic.name) != base_name(depth.name)]  # fmt: skip
     usual = [topic for topic in able if any(_is_like(topic, pattern) for pattern in _COLOR)]
     if asked is None and not usual:
-        others = [
-            topic for topic in able
-            if not _GRAY.search(topic.name)
-            and not any(_is_like(topic, pattern) for pattern in _DEPTH)
-            and encoding(topic) not in (*GRAY_ENCODINGS, *DEPTH_ENCODINGS, PNG_DEPTH)
-        ]  # fmt: skip
+        no_color = (*GRAY_ENCODINGS, *DEPTH_ENCODINGS, PNG_DEPTH)
+        others = [topic for topic in able
+                  if not _GRAY.search(topic.name) and encoding(topic) not in no_color
+                  and not any(_is_like(topic, pattern) for pattern in _DEPTH)]  # fmt: skip
         alone = len({base_name(topic.name) for topic in others}) == 1
-        return min(others, key=lambda topic: topic.kind != IMAGE) if alone else None
+        return min(others, key=_transport) if alone else None
     # The color of a camera shares the longest topic prefix with its depth.
     shared = max((_shared(topic.name, depth.name) for topic in usual), default=0)
     near = [topic for topic in able if _shared(topic.name, depth.name) >= shared]
-    return _choose(
-        path, able if asked else near, _COLOR, asked,
-        what="color", flag="--color-topic", every=topic_list(topics),
-    )  # fmt: skip
+    words = ("color", "--color-topic", topic_list(topics))
+    return _choose(path, able if asked else near, _COLOR, asked, words)
 
 
 def _is_like(topic: Topic, pattern: str) -> bool:
@@ -113,14 +99,10 @@ def _is_like(topic: Topic, pattern: str) -> bool:
 
 def left_out(topics: Iterable[Topic], used: Sequence[str]) -> list[str]:
     """Return remarks on the topics that an import does not use."""
-    rest = [
-        topic for topic in topics
-        if topic.name not in used
-        and not _OF_THE_SYSTEM.search(topic.name)
-        and not (topic.kind == CAMERA_INFO or topic.kind.endswith(("/TFMessage", "/tfMessage")))
-        and not any(topic.name == f"{base_name(one)}{way}" for one in used for way in _TRANSPORTS)
-        and base_name(topic.name) not in used
-    ]  # fmt: skip
+    known = {base_name(name) for name in used}
+    rest = [topic for topic in topics
+            if base_name(topic.name) not in known and not _OF_THE_SYSTEM.search(topic.name)
+            and not topic.kind.endswith(("/CameraInfo", "/TFMessage", "/tfMessage"))]  # fmt: skip
     pictures = [topic for topic in rest if is_picture(topic)]
     others = [topic for topic in rest if not is_picture(topic)]
     notes = []
@@ -163,11 +145,9 @@ def _choose(
     able: Sequence[Topic],
     patterns: Sequence[str],
     asked: str | None,
-    *,
-    what: str,
-    flag: str,
-    every: str,
+    words: tuple[str, str, str],
 ) -> Topic:
+    what, flag, every = words
     if asked is not None:
         candidates = [topic for topic in able if topic.name == asked] or [
             topic for topic in able if base_name(topic.name) == asked
@@ -186,7 +166,6 @@ def _choose(
                 f"choose one with {flag}"
             )
         if candidates:
-            # Of several transports, prefer raw images.
             return min(candidates, key=_transport)
     raise InvalidRecordingError(
         f"{path}: no topic has a usual name of {what}; topics: {every}; name one with {flag}"

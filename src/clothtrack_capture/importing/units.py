@@ -21,13 +21,9 @@ _SMOOTHER = 8.0
 
 @dataclass(frozen=True)
 class DepthUnit:
-    """The unit of a source's depth.
+    """The unit of a source's depth: meters per unit, and where that comes from in words.
 
-    Attributes:
-        unit_m: meters per unit of the source's numbers.
-        origin: where that comes from, in words.
-        is_float: whether the numbers are floats, which are stored in tenths of a millimeter.
-        swapped: whether the two bytes of each number stand in the wrong order.
+    Floats are stored in tenths of a millimeter; `swapped` numbers have their bytes exchanged.
     """
 
     unit_m: float
