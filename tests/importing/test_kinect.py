@@ -12,8 +12,7 @@ from import_makers import depth_of, element, kinect_calibration, number, write_k
 from clothtrack.errors import InvalidRecordingError
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
-from clothtrack_capture.importing.kinect_calibration import kinect_intrinsics
-from clothtrack_capture.importing.matroska import Matroska
+from clothtrack_capture.importing.kinect import Matroska, kinect_intrinsics
 
 TIMES = np.array([0, 33_333_000, 66_666_000])
 FILM = Path("film.mkv")
@@ -41,11 +40,10 @@ def test_what_a_file_holds_is_read(depth, color, tmp_path):
     source = write_kinect(tmp_path / "film.mkv", depth, color, TIMES)
     film = Matroska(source)
     assert [track.name for track in film.tracks] == ["COLOR", "DEPTH"]
-    assert [(block.track, block.time_ns) for block in film.blocks] == [
-        (track, time) for time in TIMES // 1000 * 1000 for track in (0, 1)
-    ]
-    for block, counts in zip(film.blocks[1::2], depth, strict=True):
-        assert film.fetch(block) == counts.astype(">u2").tobytes()
+    for frames in (film.frames[0], film.frames[1]):
+        assert [frame.time_ns for frame in frames] == (TIMES // 1000 * 1000).tolist()
+    for frame, counts in zip(film.frames[1], depth, strict=True):
+        assert film.fetch(frame) == counts.astype(">u2").tobytes()
     assert film.attachments == {"calibration.json": text()}
     assert film.tags["K4A_DEPTH_MODE"] == "NFOV_2X2BINNED"
     assert not film.damage
@@ -64,7 +62,7 @@ def test_a_file_of_another_writer_is_read(color, tmp_path):
     with av.open(str(path)) as container:
         packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
     film = Matroska(path)
-    assert [film.fetch(block) for block in film.blocks] == packets
+    assert [film.fetch(frame) for frame in film.frames[0]] == packets
     assert film.tracks[0].letters == "MJPG"
     film.close()
 

@@ -9,8 +9,8 @@ import pytest
 from import_makers import Film, color_of, depth_of, png, write_folder
 
 from clothtrack.errors import TruncatedError
+from clothtrack_capture.importing.images import packed_color, packed_depth
 from clothtrack_capture.importing.import_recording import import_recording
-from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
 
 
 def chunk(kind, data):

@@ -1,89 +1,57 @@
 """ROS 1 bags, format 2.0 (wiki.ros.org/Bags/Format/2.0), read from the start."""
 
-import struct
-from collections.abc import Iterator
-from pathlib import Path
-
 from rosbags.typesys.msg import normalize_msgtype
 
 from clothtrack.errors import TruncatedError
-from clothtrack_capture.importing.containers import (
-    ChunkedContainer,
-    Message,
-    Place,
-    Read,
-    Record,
-    Topic,
-    unpack,
-)
+from clothtrack_capture.importing.containers import ChunkedContainer, Read, Record, Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
-_KINDS = {2: "message", 5: "chunk", 7: "definition"}
-_MOST_HEADER = 2**20
-
-Header = dict[str, bytes]
-"""Fields of a record's header, by name."""
+_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 
 
 class BagContainer(ChunkedContainer):
     """A ROS 1 bag; its index is not used and may be missing."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the bag."""
-        super().__init__(path, begin=len(MAGIC))
+    magic = MAGIC
 
     def _record(self, read: Read, position: int) -> Record:
-        length = struct.unpack("<I", read(position, 4))[0]
-        if length > _MOST_HEADER:
-            raise TruncatedError(f"a header of {length} bytes; at most {_MOST_HEADER}")
+        length = int.from_bytes(read(position, 4), "little")
         header = _fields(read(position + 4, length))
         start = position + 8 + length
-        size = struct.unpack("<I", read(start - 4, 4))[0]
-        return Record(_KINDS.get(_field(header, "op", 1)[0], ""), header, start, start + size)
-
-    def _learn(self, head: Header, data: bytes) -> None:
-        name = head.get("topic", b"").decode("utf-8", "replace")
-        kind = _fields(data).get("type", b"").decode("utf-8", "replace")
-        kind = normalize_msgtype(kind) if "/" in kind else kind
-        self._add(_number(head, "conn"), Topic(name, kind, False))
-
-    def _message(self, read: Read, record: Record, chunk: int) -> Iterator[Message]:  # noqa: ARG002
-        topic = self._topics.get(_number(record.head, "conn"))
-        seconds, nanoseconds = struct.unpack("<II", _field(record.head, "time", 8))
-        if topic is not None:
-            place = Place(chunk, record.start, record.stop - record.start)
-            yield Message(topic, seconds * 10**9 + nanoseconds, place)
-
-    def _packed(self, record: Record) -> tuple[str, int, int]:
-        return record.head.get("compression", b"").decode("latin-1"), record.start, record.stop
-
-    def _unpack(self, record: Record) -> bytes:
-        compression, start, stop = self._packed(record)
-        data = self._file.read(start, stop - start)
-        return unpack(data, compression, _number(record.head, "size"))
+        size = int.from_bytes(read(start - 4, 4), "little")
+        what, span = _number(header, "op", 1), (start, size, start + size)
+        if what == _MESSAGE:
+            topic, time = self._topics.get(_number(header, "conn")), _number(header, "time", 8)
+            log_ns = (time & 0xFFFFFFFF) * 10**9 + (time >> 32)
+            return Record("message", *span, topic, log_ns)
+        if what == _CHUNK:
+            compression = header.get("compression", b"").decode("latin-1")
+            unpacked_size = _number(header, "size")
+            return Record("chunk", *span, compression=compression, unpacked_size=unpacked_size)
+        if what == _CONNECTION:
+            name = header.get("topic", b"").decode("utf-8", "replace")
+            kind = _fields(read(start, size)).get("type", b"").decode("utf-8", "replace")
+            kind = normalize_msgtype(kind) if "/" in kind else kind
+            self._topics[_number(header, "conn")] = Topic(name, kind, False)
+        return Record("", *span)
 
 
-def _fields(data: bytes) -> Header:
-    fields: Header = {}
+def _fields(data: bytes) -> dict[str, bytes]:
+    """Return the fields of a record's header, by name."""
+    fields: dict[str, bytes] = {}
     position = 0
     while position < len(data):
-        if position + 4 > len(data):
-            raise TruncatedError("a header breaks off")
-        size = struct.unpack_from("<I", data, position)[0]
+        size = int.from_bytes(data[position : position + 4], "little")
         name, equals, value = data[position + 4 : position + 4 + size].partition(b"=")
-        if not equals or position + 4 + size > len(data):
+        position += 4 + size
+        if not equals or position > len(data):
             raise TruncatedError("a header field is damaged")
         fields[name.decode("latin-1")] = value
-        position += 4 + size
     return fields
 
 
-def _field(header: Header, name: str, size: int) -> bytes:
+def _number(header: dict[str, bytes], name: str, size: int = 4) -> int:
     value = header.get(name, b"")
     if len(value) != size:
         raise TruncatedError(f"the header field {name} has {len(value)} bytes, not {size}")
-    return value
-
-
-def _number(header: Header, name: str) -> int:
-    return struct.unpack("<I", _field(header, name, 4))[0]
+    return int.from_bytes(value, "little")

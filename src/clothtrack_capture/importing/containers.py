@@ -1,27 +1,26 @@
-"""Message containers: the common parts of ROS 1, MCAP and SQLite bags.
+"""Bags as containers of messages: what ROS 1, MCAP and SQLite have in common.
 
-Each file is read once from its start, record by record. Every size is checked against the file
-before it is used, so that a wrong size costs no memory. Only the position of a message is kept; its
-bytes are fetched when they are needed. Truncated files are refused.
+A file is read once from its start, record by record. Every size is checked against the file before
+it is used. Only the position of a message is kept; its bytes are fetched when they are needed.
+Truncated files are refused.
 """
 
 import bz2
 import os
+import zlib
 from abc import ABC, abstractmethod
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import lz4.frame
 import zstandard
 
-from clothtrack.errors import InvalidRecordingError, TruncatedError
+from clothtrack.errors import TruncatedError
 
 # Larger than any picture or chunk that a recorder writes; a larger size means a damaged file.
 MOST_BYTES = 96 * 2**20
-MOST_TOPICS = 10_000
 # A larger cache costs memory and saves no time: pictures are fetched nearly in file order.
 _CACHED_BYTES = 24 * 2**20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -32,33 +31,20 @@ Read = Callable[[int, int], bytes]
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag.
+    """A topic of a bag."""
 
-    Attributes:
-        name: topic name, such as "/camera/depth/image_raw".
-        kind: message type in the ROS 2 spelling, such as "sensor_msgs/msg/Image".
-        cdr: whether messages are serialized as in ROS 2 (CDR); otherwise as in ROS 1.
-    """
-
-    name: str
-    kind: str
-    cdr: bool
+    name: str  # "/camera/depth/image_raw"
+    kind: str  # message type in the ROS 2 spelling: "sensor_msgs/msg/Image"
+    cdr: bool  # whether messages are serialized as in ROS 2 (CDR), not as in ROS 1
 
 
 class Place(NamedTuple):
-    """The position of a message's bytes.
+    """The position of a message's bytes."""
 
-    Attributes:
-        chunk: file position of the compressed chunk, or -1 if the bytes are not in a chunk.
-        offset: position in the chunk or in the file, or the row of a database.
-        size: number of bytes.
-        part: index of the file in a bag of several parts.
-    """
-
-    chunk: int
-    offset: int
+    chunk: int  # file position of the compressed chunk; -1 if they are not in one
+    offset: int  # position in the chunk or in the file, or the row of a database
     size: int
-    part: int = 0
+    part: int = 0  # index of the file in a bag of several
 
 
 class Message(NamedTuple):
@@ -69,46 +55,35 @@ class Message(NamedTuple):
     place: Place
 
 
-@runtime_checkable
-class Container(Protocol):
+class Container(ABC):
     """A file full of messages."""
 
-    path: Path
+    close: Callable[[], None]
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._topics: dict[int, Topic] = {}
 
     def topics(self) -> list[Topic]:
         """Return every topic known so far; the list is complete after reading all messages."""
-        ...
+        return list(self._topics.values())
 
+    @abstractmethod
     def messages(self) -> Iterator[Message]:
         """Yield every message in file order."""
-        ...
 
+    @abstractmethod
     def fetch(self, place: Place, most: int | None = None) -> bytes:
         """Return the bytes of a message, or only the first `most`."""
-        ...
-
-    def close(self) -> None:
-        """Close the file."""
-        ...
 
 
-class BagFile:
-    """A file read on demand, with a cache of a few unpacked chunks."""
+class FileOnDemand:
+    """A file of which parts are read."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file for reading."""
-        self.path = path
-        try:
-            self._file = path.open("rb")
-        except OSError as error:
-            raise InvalidRecordingError(f"{path}: {error.strerror}; check the name") from error
+        self._file = path.open("rb")
         self.size = os.fstat(self._file.fileno()).st_size
-        self._chunks: OrderedDict[int, bytes] = OrderedDict()
-
-    def close(self) -> None:
-        """Close the file and clear the cache."""
-        self._chunks.clear()
-        self._file.close()
+        self.close = self._file.close
 
     def read(self, position: int, size: int) -> bytes:
         """Return exactly `size` bytes from a position of the file."""
@@ -118,49 +93,35 @@ class BagFile:
                 return data
         raise TruncatedError(f"{size} bytes at {position} of {self.size}")
 
-    def unpacked(self, position: int, unpack: Callable[[], bytes]) -> bytes:
-        """Return the unpacked chunk at a position; the latest chunks are cached."""
-        if position in self._chunks:
-            self._chunks.move_to_end(position)
-        else:
-            self._chunks[position] = unpack()
-            while len(self._chunks) > 1 and sum(map(len, self._chunks.values())) > _CACHED_BYTES:
-                self._chunks.popitem(last=False)
-        return self._chunks[position]
-
 
 class Record(NamedTuple):
-    """One record of a chunked file.
+    """One record of a chunked file; a definition of a topic is noted where it is read."""
 
-    Attributes:
-        kind: "message", "chunk", "definition" (of a topic), "end" (of the messages), or "".
-        head: header of the record.
-        start: position at which the data begin.
-        stop: position at which the data end and the next record begins.
-    """
-
-    kind: str
-    head: Any
-    start: int
-    stop: int
+    kind: str  # "message", "chunk", "end" (of the messages) or ""
+    start: int  # of the message, or of the packed bytes of a chunk
+    size: int
+    stop: int  # where the next record begins
+    topic: Topic | None = None  # of a message; None if it was never defined
+    log_ns: int = 0
+    compression: str = ""
+    unpacked_size: int = 0
+    crc: int = 0  # of the unpacked bytes; 0 if there is none
 
 
-class ChunkedContainer(ABC):
+class ChunkedContainer(Container):
     """A reader for files of records, some of which are chunks of further records."""
 
-    def __init__(self, path: Path, *, begin: int) -> None:
-        """Open the file, whose first record begins at `begin`."""
-        self.path, self._begin = path, begin
-        self._file = BagFile(path)
-        self._topics: dict[int, Topic] = {}
+    magic: bytes
 
-    def topics(self) -> list[Topic]:
-        """Return every topic known so far."""
-        return list(self._topics.values())
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._file = FileOnDemand(path)
+        self._chunks: dict[int, bytes] = {}
+        self.close = self._file.close
 
     def messages(self) -> Iterator[Message]:
         """Yield every message in file order."""
-        yield from self._walk(self._file.read, self._begin, self._file.size, -1)
+        yield from self._walk(self._file.read, len(self.magic), self._file.size, -1)
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
         """Return the bytes of a message, or only the first `most`."""
@@ -169,61 +130,44 @@ class ChunkedContainer(ABC):
             return self._file.read(place.offset, size)
         return self._unpacked(place.chunk)[place.offset : place.offset + size]
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+    @abstractmethod
+    def _record(self, read: Read, position: int) -> Record:
+        """Return the record at a position."""
 
     def _walk(self, read: Read, position: int, end: int, chunk: int) -> Iterator[Message]:
         """Yield the messages between two positions of the file (chunk -1) or a chunk."""
         while position < end:
             record = self._record(read, position)
-            if record.stop > end:
-                raise TruncatedError(f"a record of {record.stop - record.start} bytes breaks off")
-            if record.kind == "message":
-                yield from self._message(read, record, chunk)
-            elif record.kind == "definition":
-                self._learn(record.head, read(record.start, record.stop - record.start))
+            if record.stop > end or not 0 <= record.size <= record.stop - record.start:
+                raise TruncatedError(f"a record of {record.size} bytes breaks off")
+            if record.kind == "message" and record.topic is not None:
+                place = Place(chunk, record.start, record.size)
+                yield Message(record.topic, record.log_ns, place)
             elif record.kind == "chunk" and chunk < 0:
-                compression, data, stop = self._packed(record)
-                if compression in ("", "none"):
-                    yield from self._walk(read, data, stop, chunk)
+                if record.compression in ("", "none"):
+                    yield from self._walk(read, record.start, record.start + record.size, chunk)
                 else:
                     unpacked = self._unpacked(position)
                     yield from self._walk(_reader(unpacked), 0, len(unpacked), position)
-            position = record.stop
-            if record.kind == "end":
+            elif record.kind == "end":
                 return
-
-    def _add(self, number: int, topic: Topic) -> None:
-        if len(self._topics) >= MOST_TOPICS:
-            raise TruncatedError(f"more than {MOST_TOPICS} topics")
-        self._topics[number] = topic
+            position = record.stop
 
     def _unpacked(self, position: int) -> bytes:
-        """Return the unpacked bytes of the chunk at a position of the file."""
-        return self._file.unpacked(
-            position, lambda: self._unpack(self._record(self._file.read, position))
-        )
+        """Return the unpacked bytes of the chunk at a position; the latest chunks are cached."""
+        data = self._chunks.pop(position, b"") or self._unpack(position)
+        self._chunks[position] = data
+        while len(self._chunks) > 1 and sum(map(len, self._chunks.values())) > _CACHED_BYTES:
+            del self._chunks[next(iter(self._chunks))]
+        return data
 
-    @abstractmethod
-    def _record(self, read: Read, position: int) -> Record:
-        """Return the record at a position."""
-
-    @abstractmethod
-    def _learn(self, head: Any, data: bytes) -> None:
-        """Add the topic that a definition describes."""
-
-    @abstractmethod
-    def _message(self, read: Read, record: Record, chunk: int) -> Iterator[Message]:
-        """Yield the message of a record, unless its topic was never defined."""
-
-    @abstractmethod
-    def _packed(self, record: Record) -> tuple[str, int, int]:
-        """Return a chunk's compression, and the start and end of its packed bytes."""
-
-    @abstractmethod
-    def _unpack(self, record: Record) -> bytes:
-        """Return the unpacked bytes of a chunk."""
+    def _unpack(self, position: int) -> bytes:
+        record = self._record(self._file.read, position)
+        packed = self._file.read(record.start, record.size)
+        data = unpack(packed, record.compression, record.unpacked_size)
+        if record.crc and zlib.crc32(data) != record.crc:
+            raise TruncatedError("a chunk's checksum differs")
+        return data
 
 
 def _reader(data: bytes) -> Read:
@@ -249,8 +193,6 @@ def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
             unpacked = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1)
         elif compression == "bz2":
             unpacked = bz2.BZ2Decompressor().decompress(data, max_length=most + 1)
-        elif compression in ("", "none"):
-            unpacked = data
         else:
             raise TruncatedError(f"compression {compression[:20]!r} is unknown")
     except (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError) as error:

@@ -1,9 +1,13 @@
 """Decoding of pictures in messages and files (raw, PNG or JPEG) to depth counts or RGB.
 
-Sizes are read from the first bytes and checked against a limit before anything is unpacked.
+Sizes are read from the first bytes and checked against a limit before anything is unpacked. A plain
+PNG in a source is copied unchanged.
 """
 
 import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack.recordings.pictures import SIGNATURE, check_chunks
+from clothtrack.recordings.pictures import SIGNATURE, png_chunks
 from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 
 _TO_RGB = {
@@ -35,7 +39,13 @@ _TO_RGB = {
 }
 DEPTH_ENCODINGS, GRAY_ENCODINGS = ("16uc1", "mono16", "32fc1"), ("mono8", "8uc1")
 _JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
-_HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two parameters
+_DEPTH, _COLOR = b"\x10\x00\x00\x00\x00", b"\x08\x02\x00\x00\x00"
+_SAMPLE_BYTES = {_DEPTH: 2, _COLOR: 3}
+_PIXELS = (b"IHDR", b"IDAT", b"IEND")
+# These chunks do not affect the pixels. Any other chunk (palette, transparency, gamma, orientation,
+# a second picture) may, so the picture is decoded then.
+_REMARKS = (b"tEXt", b"zTXt", b"iTXt", b"tIME", b"pHYs")
+_MOST_FILTER = 4
 
 
 def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
@@ -45,27 +55,24 @@ def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height byt
     data = np.asarray(image.data, dtype=np.uint8)
     if not 0 < width * height <= MOST_PIXELS or step < row or data.size < step * height:
         raise TruncatedError(f"an image of {width} x {height} pixels in {data.size} bytes")
-    return data[: step * height].reshape(height, step)[:, :row]
+    return np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
 
 
 def raw_depth(image: Any) -> Shaped[np.ndarray, "height width"]:
     """Return the numbers of a depth picture in a sensor_msgs Image: uint16 or float32."""
     encoding = str(image.encoding).lower()
     if encoding not in DEPTH_ENCODINGS:
-        raise TruncatedError(
-            f"encoding {image.encoding!r}; depth is one of {', '.join(DEPTH_ENCODINGS)}"
-        )
-    kind, size = ("f4", 4) if encoding == "32fc1" else ("u2", 2)
-    rows = np.ascontiguousarray(_raw_rows(image, size))
+        known = ", ".join(DEPTH_ENCODINGS)
+        raise TruncatedError(f"encoding {image.encoding!r}; depth is one of {known}")
+    kind = "f4" if encoding == "32fc1" else "u2"
+    rows = _raw_rows(image, int(kind[1]))
     return rows.view(f"{'>' if image.is_bigendian else '<'}{kind}").astype(kind)
 
 
 def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
     """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
 
-    Args:
-        image: image of counts, or of floats in meters (REP 118).
-        unit_m: meters per count [m].
+    Floats are in meters (REP 118), counts in units of `unit_m` [m].
     """
     numbers = raw_depth(image)
     if numbers.dtype.kind == "u":
@@ -79,34 +86,24 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
     if encoding not in _TO_RGB:
         raise TruncatedError(f"encoding {image.encoding!r}; known are {', '.join(_TO_RGB)}")
     channels, conversion = _TO_RGB[encoding]
-    rows = np.ascontiguousarray(_raw_rows(image, channels))
-    shape = (rows.shape[0], rows.shape[1] // channels, channels)
-    picture = rows.reshape(shape if channels > 1 else shape[:2])
-    return picture if conversion is None else _converted(picture, conversion)
+    rows = _raw_rows(image, channels)
+    picture = rows if channels == 1 else rows.reshape(len(rows), -1, channels)
+    return picture if conversion is None else to_rgb(picture, conversion)
 
 
-def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
-    """Return red, green and blue of a complete JPEG or PNG."""
-    picture = _decoded(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
-
-
-def _decoded(data: bytes, flags: int) -> Any:
-    encoded_size(data)
+def to_rgb(picture: np.ndarray, conversion: int) -> UInt8[np.ndarray, "height width 3"]:
+    """Return a picture converted by OpenCV."""
     try:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        return cv2.cvtColor(picture, conversion)
     except cv2.error as error:
-        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
-    if picture is None:
-        raise TruncatedError("a picture that cannot be decoded")
-    return picture
+        raise TruncatedError(f"a picture that cannot be converted ({error.err})") from error
 
 
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
     """Return the PNG in a CompressedImage of depth, and the parameters of depth in floats.
 
-    The transport `compressedDepth` writes 12 bytes before the PNG; for floats, two of them are the
-    parameters a and b of a / z + b.
+    The transport `compressedDepth` writes 12 bytes before the PNG; for floats, the last eight are
+    the parameters a and b of a / z + b.
     """
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
@@ -117,7 +114,7 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
         )
     if not form.startswith("32fc1"):
         return data[start:], None
-    if start < _HEAD_BYTES:
+    if start < 8:
         raise TruncatedError("compressedDepth of floats without its head")
     return data[start:], struct.unpack_from("<ff", data, start - 8)
 
@@ -130,47 +127,64 @@ def inverse_depth(png: bytes, curve: tuple[float, float]) -> Float[np.ndarray, "
     return np.where(counts > 0, numbers, np.float32(0))
 
 
-def gray(data: bytes) -> UInt8[np.ndarray, "height width"]:
-    """Return a complete PNG or JPEG as gray."""
-    return _decoded(data, cv2.IMREAD_GRAYSCALE)
-
-
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
     """Return the counts of a complete 16-bit gray PNG."""
+    width, height = encoded_size(data)
     if not data.startswith(SIGNATURE):
         raise TruncatedError(
             "depth as a JPEG, which has 8 bits and changes them; write 16-bit gray PNG"
         )
-    if data[24:26] != b"\x10\x00":
-        encoded_size(data)
+    counts = _decoded(data, cv2.IMREAD_UNCHANGED)
+    if counts.dtype != np.uint16 or counts.shape != (height, width):
         raise TruncatedError(
             f"a depth PNG of {data[24]} bits and color type {data[25]}; 16-bit gray is depth"
         )
-    counts = _decoded(data, cv2.IMREAD_UNCHANGED)
-    if counts.dtype != np.uint16 or counts.ndim != 2:
-        raise TruncatedError("a depth picture that cannot be decoded")
     return counts
+
+
+def _rgb(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
+    picture = _decoded(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
+
+
+def _mask(data: bytes) -> UInt8[np.ndarray, "height width"]:
+    return 255 * (_decoded(data, cv2.IMREAD_GRAYSCALE) > 0).astype(np.uint8)
+
+
+def _decoded(data: bytes, flags: int) -> Any:
+    encoded_size(data)
+    if data.startswith(SIGNATURE):
+        _chunks(data)
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
+    if picture is None:
+        raise TruncatedError("a picture that cannot be decoded")
+    return picture
+
+
+def _chunks(data: bytes) -> list[tuple[bytes, slice]]:
+    """Return the kind of every chunk of a PNG and the slice of its content; refuse damage."""
+    try:
+        chunks = list(png_chunks(Path("a PNG"), data))
+    except InvalidRecordingError as error:
+        raise TruncatedError(str(error)) from error
+    if not chunks or chunks[-1][0] != b"IEND":
+        raise TruncatedError("a PNG that breaks off")
+    return chunks
 
 
 def encoded_size(data: bytes) -> tuple[int, int]:
     """Return the width and height in the header of a PNG or JPEG."""
-    if data.startswith(SIGNATURE):
-        try:
-            header = check_chunks(Path("a PNG"), data)
-        except InvalidRecordingError as error:
-            raise TruncatedError(str(error)) from error
-        whole, width, height = True, header.width, header.height
-    elif data.startswith(_JPEG_START):
-        whole = _JPEG_END in data[-64:]
+    if data.startswith(SIGNATURE) and len(data) > 28:
+        width, height = struct.unpack(">II", data[16:24])
+    elif data.startswith(_JPEG_START) and _JPEG_END in data[-64:]:
         width, height = _jpeg_size(data)
     else:
-        raise TruncatedError("a picture that is neither PNG nor JPEG")
-    if not whole:
-        raise TruncatedError("a picture that breaks off")
+        raise TruncatedError("a picture that is neither PNG nor JPEG, or breaks off")
     if not 0 < width * height <= MOST_PIXELS:
-        raise TruncatedError(
-            f"a picture of {width} x {height} pixels; at most {MOST_PIXELS} in all"
-        )
+        raise TruncatedError(f"a picture of {width} x {height} pixels; at most {MOST_PIXELS}")
     return width, height
 
 
@@ -188,8 +202,59 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
     raise TruncatedError("a JPEG without a size")
 
 
-def _converted(picture: np.ndarray, conversion: int) -> np.ndarray:
-    try:
-        return cv2.cvtColor(picture, conversion)
-    except cv2.error as error:
-        raise TruncatedError(f"a picture that cannot be converted ({error.err})") from error
+@dataclass(frozen=True, eq=False)
+class PackedPicture:
+    """An encoded PNG or JPEG of depth or color, which is decoded or copied unchanged."""
+
+    data: bytes
+    form: bytes  # bit depth, color type and the rest of the header of a PNG that may be copied
+    unpack: Callable[[bytes], np.ndarray]  # to depth counts, or to red, green and blue
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in the header [pixels]."""
+        return encoded_size(self.data)
+
+    def decode(self) -> Shaped[np.ndarray, "height width *channels"]:
+        """Return the pixels."""
+        return self.unpack(self.data)
+
+    def plain_png(self) -> bytes | None:
+        """Return the PNG without remarks if it can be copied, or None if it must be decoded."""
+        if not self.data.startswith(SIGNATURE) or self.data[24:29] != self.form:
+            return None
+        width, height = self.size
+        chunks = _chunks(self.data)
+        kinds = [kind for kind, _ in chunks]
+        if {*kinds} - {*_PIXELS, *_REMARKS} or kinds.count(b"IHDR") != 1:
+            return None
+        row = 1 + width * _SAMPLE_BYTES[self.form]
+        packed = b"".join(self.data[span] for kind, span in chunks if kind == b"IDAT")
+        unpacker = zlib.decompressobj()
+        try:
+            rows = unpacker.decompress(packed, height * row + 1)
+        except zlib.error as error:
+            raise TruncatedError(f"a PNG whose pixels are damaged ({error})") from error
+        whole = len(rows) == height * row and unpacker.eof
+        if not whole or max(rows[::row]) > _MOST_FILTER:
+            raise TruncatedError("a PNG whose pixels are damaged")
+        if not {*kinds} & {*_REMARKS}:
+            return self.data
+        kept = (self.data[span.start - 8 : span.stop + 4] for kind, span in chunks
+                if kind in _PIXELS)  # fmt: skip
+        return SIGNATURE + b"".join(kept)
+
+
+def packed_depth(data: bytes) -> PackedPicture:
+    """Return a packed depth picture, a 16-bit gray PNG."""
+    return PackedPicture(data, _DEPTH, png_depth)
+
+
+def packed_mask(data: bytes) -> PackedPicture:
+    """Return a packed mask, a PNG or JPEG that is brighter than black on the cloth."""
+    return PackedPicture(data, b"", _mask)
+
+
+def packed_color(data: bytes) -> PackedPicture:
+    """Return a packed color picture, a PNG or JPEG."""
+    return PackedPicture(data, _COLOR, _rgb)

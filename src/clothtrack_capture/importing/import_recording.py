@@ -25,10 +25,10 @@ from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack.recordings.violation import DOCUMENT, Violation
 from clothtrack_capture.extra import require_capture
+from clothtrack_capture.importing.images import PackedPicture
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import Imported, ImportReport, report_of
 from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
-from clothtrack_capture.importing.packed_pictures import PackedPicture
 from clothtrack_capture.importing.picker_paths import add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
 from clothtrack_capture.importing.registration import Registration

@@ -21,18 +21,7 @@ _WIDEST_RAY = 100.0  # tangent of the angle to the axis: less than a degree from
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Camera intrinsics with distortion; pixel centers are at integers.
-
-    Attributes:
-        width: picture width [pixels].
-        height: picture height [pixels].
-        fx: focal length along x [pixels].
-        fy: focal length along y [pixels].
-        cx: column of the principal point [pixels].
-        cy: row of the principal point [pixels].
-        distortion: coefficients in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6, or k1..k4 of a fisheye.
-        fisheye: whether the model is equidistant instead of Brown and Conrady's.
-    """
+    """Camera intrinsics with distortion [pixels]; pixel centers are at integers."""
 
     width: int
     height: int
@@ -40,8 +29,9 @@ class Intrinsics:
     fy: float
     cx: float
     cy: float
+    # In OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6, or k1..k4 of a fisheye.
     distortion: tuple[float, ...] = ()
-    fisheye: bool = False
+    fisheye: bool = False  # the model is equidistant instead of Brown and Conrady's
 
     def __post_init__(self) -> None:
         """Refuse impossible intrinsics."""
@@ -55,22 +45,19 @@ class Intrinsics:
                 f"a camera of {self.width} x {self.height} pixels; at least one and at most "
                 f"{MOST_PIXELS} in all"
             )
-        if self.fisheye and len(self.distortion) != 4:
+        known = (4,) if self.fisheye else _BROWN_LENGTHS
+        if len(self.distortion) not in known:
             raise InvalidRecordingError(
-                f"a fisheye lens with {len(self.distortion)} coefficients; it has 4"
-            )
-        if not self.fisheye and len(self.distortion) not in _BROWN_LENGTHS:
-            raise InvalidRecordingError(
-                f"a lens with {len(self.distortion)} distortion coefficients; known are "
-                f"{', '.join(map(str, _BROWN_LENGTHS))}; give them with --intrinsics FILE"
+                f"a {'fisheye ' * self.fisheye}lens with {len(self.distortion)} distortion "
+                f"coefficients; known are {', '.join(map(str, known))}; give them with "
+                "--intrinsics FILE"
             )
 
     @property
     def straight(self) -> bool:
         """Whether there is no distortion."""
-        if self.fisheye:
-            return False
-        return not any(abs(value) > _STRAIGHT_BELOW for value in self.distortion)
+        bent = any(abs(value) > _STRAIGHT_BELOW for value in self.distortion)
+        return not (self.fisheye or bent)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,21 +70,13 @@ class Intrinsics:
 
     def camera(self, name: str, world_from_camera: Float[np.ndarray, "4 4"]) -> Camera:
         """Return the recording's camera, for pictures without distortion."""
-        return Camera(
-            name, self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_from_camera
-        )
+        return Camera(name, *self.size, self.fx, self.fy, self.cx, self.cy, world_from_camera)
 
     def same_pixels(self, other: "Intrinsics") -> bool:
         """Return whether both map every direction to the same pixel, to a thousandth of a pixel."""
-        if self.size != other.size or self.straight != other.straight:
-            return False
-        if not self.straight and (self.distortion, self.fisheye) != (
-            other.distortion,
-            other.fisheye,
-        ):
-            return False
-        mine = (self.fx, self.fy, self.cx, self.cy)
-        return bool(np.allclose(mine, (other.fx, other.fy, other.cx, other.cy), rtol=0, atol=1e-3))
+        lenses = [(one.size, () if one.straight else (one.distortion, one.fisheye))
+                  for one in (self, other)]  # fmt: skip
+        return lenses[0] == lenses[1] and np.allclose(self.matrix, other.matrix, rtol=0, atol=1e-3)
 
     @property
     def matrix(self) -> Float[np.ndarray, "3 3"]:
@@ -106,14 +85,12 @@ class Intrinsics:
 
     def corner_rays(self) -> Float[np.ndarray, "rows columns 2"]:
         """Return the ray (x / z, y / z) of every pixel corner, one row and column more."""
-        columns, rows = np.meshgrid(
-            np.arange(self.width + 1) - 0.5, np.arange(self.height + 1) - 0.5
-        )
-        pixels = np.stack([columns.ravel(), rows.ravel()], 1)[:, None]
+        shape = self.height + 1, self.width + 1
+        pixels = np.indices(shape, dtype=np.float64)[::-1].reshape(2, -1).T[:, None] - 0.5
         if self.straight:
             rays = (pixels[:, 0] - (self.cx, self.cy)) / (self.fx, self.fy)
             with np.errstate(over="ignore"):
-                return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
+                return rays.reshape(*shape, 2).astype(np.float32)
         coefficients = np.array(self.distortion)
         if self.fisheye:
             rays = cv2.fisheye.undistortPoints(pixels, self.matrix, coefficients)
@@ -122,16 +99,15 @@ class Intrinsics:
             stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-9)
             # OpenCV 4 has a separate name for the function with a limit on iterations.
             undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
-            rays = undistort(
-                pixels, self.matrix, coefficients, R=np.eye(3), P=np.eye(3), criteria=stop
-            )
-            ahead = np.concatenate([rays[:, 0], np.ones((len(rays), 1))], 1)
-            back, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), self.matrix, coefficients)
+            eye, still = np.eye(3), np.zeros(3)
+            rays = undistort(pixels, self.matrix, coefficients, R=eye, P=eye, criteria=stop)
+            ahead = np.insert(rays[:, 0], 2, 1.0, axis=1)
+            back, _ = cv2.projectPoints(ahead, still, still, self.matrix, coefficients)
         with np.errstate(invalid="ignore", over="ignore"):
             kept = np.abs(back - pixels).max(axis=(1, 2)) < _RETURN_LIMIT_PX
         rays = rays[:, 0]
         rays[~(kept & (np.abs(rays).max(axis=1) < _WIDEST_RAY))] = np.nan
-        return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
+        return rays.reshape(*shape, 2).astype(np.float32)
 
     @cached_property
     def _map(self) -> tuple[np.ndarray, np.ndarray]:

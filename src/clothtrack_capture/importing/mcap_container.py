@@ -1,7 +1,6 @@
 """MCAP files (mcap.dev/spec), read from the start; the summary at the end is not needed."""
 
 import struct
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -12,35 +11,19 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from clothtrack.errors import TruncatedError
-from clothtrack_capture.importing.containers import (
-    ChunkedContainer,
-    Message,
-    Place,
-    Read,
-    Record,
-    Topic,
-    unpack,
-)
+from clothtrack_capture.importing.containers import ChunkedContainer, Message, Read, Record, Topic
 
 MAGIC = b"\x89MCAP0\r\n"
-_KINDS = {
-    Opcode.MESSAGE: "message",
-    Opcode.CHUNK: "chunk",
-    Opcode.SCHEMA: "definition",
-    Opcode.CHANNEL: "definition",
-    Opcode.DATA_END: "end",
-    Opcode.FOOTER: "end",
-}
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
+_MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQII")
 
 
 class McapContainer(ChunkedContainer):
     """An MCAP file of ROS 2 or ROS 1 messages."""
 
+    magic = MAGIC
+
     def __init__(self, path: Path) -> None:
-        """Open the file."""
-        super().__init__(path, begin=len(MAGIC))
+        super().__init__(path)
         self._schemas: dict[int, str] = {}
         self._ended = False
 
@@ -52,13 +35,30 @@ class McapContainer(ChunkedContainer):
 
     def _record(self, read: Read, position: int) -> Record:
         kind, size = struct.unpack("<BQ", read(position, 9))
-        self._ended = self._ended or _KINDS.get(kind) == "end"
-        return Record(_KINDS.get(kind, ""), kind, position + 9, position + 9 + size)
+        start = position + 9
+        stop = start + size
+        if kind == Opcode.MESSAGE:
+            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(read(start, _MESSAGE_HEAD.size))
+            start += _MESSAGE_HEAD.size
+            topic = self._topics.get(channel)
+            return Record("message", start, stop - start, stop, topic, log_ns)
+        if kind == Opcode.CHUNK:
+            _, _, inside, crc, letters = _CHUNK_HEAD.unpack(read(start, _CHUNK_HEAD.size))
+            start += _CHUNK_HEAD.size
+            compression = read(start, letters).decode("latin-1")
+            start += letters + 8
+            size = int.from_bytes(read(start - 8, 8), "little")
+            return Record("chunk", start, size, stop, None, 0, compression, inside, crc)
+        if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._learn(kind, read(start, size))
+        ended = kind in (Opcode.DATA_END, Opcode.FOOTER)
+        self._ended = self._ended or ended
+        return Record("end" if ended else "", start, size, stop)
 
-    def _learn(self, head: int, data: bytes) -> None:
+    def _learn(self, kind: int, data: bytes) -> None:
         stream = ReadDataStream(BytesIO(data))
         try:
-            if head == Opcode.SCHEMA:
+            if kind == Opcode.SCHEMA:
                 schema = Schema.read(stream)
                 self._schemas[schema.id] = schema.name
                 return
@@ -67,35 +67,6 @@ class McapContainer(ChunkedContainer):
             raise TruncatedError(f"a schema or channel is damaged: {error}") from error
         name = self._schemas.get(channel.schema_id, "")
         package, _, short = name.rpartition("/")
-        kind = f"{package.removesuffix('/msg')}/msg/{short}" if package else name
-        self._add(channel.id, Topic(channel.topic, kind, channel.message_encoding != "ros1"))
-
-    def _message(self, read: Read, record: Record, chunk: int) -> Iterator[Message]:
-        channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(read(record.start, _MESSAGE_HEAD.size))
-        topic, start = self._topics.get(channel), record.start + _MESSAGE_HEAD.size
-        if start > record.stop:
-            raise TruncatedError("a message without its head")
-        if topic is not None:
-            yield Message(topic, log_ns, Place(chunk, start, record.stop - start))
-
-    def _packed(self, record: Record) -> tuple[str, int, int]:
-        compression, _, _, start, size = self._chunk_head(record)
-        if start + size > record.stop:
-            raise TruncatedError("a chunk's data are longer than its record")
-        return compression, start, start + size
-
-    def _unpack(self, record: Record) -> bytes:
-        compression, inside, crc, start, size = self._chunk_head(record)
-        chunk = unpack(self._file.read(start, size), compression, inside)
-        if crc and zlib.crc32(chunk) != crc:
-            raise TruncatedError("a chunk's checksum differs")
-        return chunk
-
-    def _chunk_head(self, record: Record) -> tuple[str, int, int, int, int]:
-        """Return compression, unpacked size, CRC, and start and number of the packed bytes."""
-        start = record.start
-        _, _, inside, crc, letters = _CHUNK_HEAD.unpack(self._file.read(start, _CHUNK_HEAD.size))
-        after = start + _CHUNK_HEAD.size
-        compression = self._file.read(after, min(letters, 32)).decode("latin-1")
-        size = struct.unpack("<Q", self._file.read(after + letters, 8))[0]
-        return compression, inside, crc, after + letters + 8, size
+        name = f"{package.removesuffix('/msg')}/msg/{short}" if package else name
+        cdr = channel.message_encoding != "ros1"
+        self._topics[channel.id] = Topic(channel.topic, name, cdr)

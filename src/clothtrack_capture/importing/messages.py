@@ -11,20 +11,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from scipy.spatial.transform import Rotation
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack_capture.importing.containers import (
-    ZSTD_MAGIC,
-    Container,
-    Place,
-    Topic,
-    unpack,
-)
+from clothtrack_capture.importing.containers import ZSTD_MAGIC, Container, Place, Topic, unpack
 from clothtrack_capture.importing.intrinsics import Intrinsics
 
 _TF = "tf2_msgs/msg/TFMessage"
@@ -59,12 +50,8 @@ def decode(topic: Topic, data: bytes) -> Any:
     if kind not in store.types:
         raise TruncatedError(f"{topic.name}: {topic.kind} is no message type that is read here")
     try:
-        read = store.deserialize_cdr if topic.cdr else store.deserialize_ros1
-        return read(data, kind)
-    except (
-        SerdeError, struct.error, ValueError, IndexError, AssertionError, OverflowError, KeyError,
-        TypeError,
-    ) as error:  # fmt: skip
+        return (store.deserialize_cdr if topic.cdr else store.deserialize_ros1)(data, kind)
+    except Exception as error:  # The library refuses damaged bytes with eight kinds of exception.
         raise TruncatedError(f"{topic.name}: not a {topic.kind}") from error
 
 
@@ -130,58 +117,36 @@ def grip_of(message: Any, joints: Sequence[str] = ()) -> bool | float | None:
     return float(np.sum(numbers)) if numbers.size else None
 
 
+def _lens_of(info: Any) -> dict[str, np.ndarray]:
+    """Return the matrix K, the distortion D and the projection P of a CameraInfo."""
+    return {name: np.asarray(getattr(info, name, getattr(info, name.lower(), ())), np.float64).ravel()
+            for name in "KDP"}  # fmt: skip
+
+
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
     """Return the intrinsics in a CameraInfo."""
-    coefficients, matrix, projection = (
-        np.asarray(getattr(info, name, getattr(info, name.upper(), ())), dtype=np.float64).ravel()
-        for name in ("d", "k", "p")
-    )
-    model = str(info.distortion_model).lower()
-    if rectified and len(projection) == 12 and projection[0] > 0:
-        fx, fy, cx, cy = projection[[0, 5, 2, 6]].tolist()
-        coefficients = coefficients[:0]
-    elif len(matrix) == 9:
-        fx, fy, cx, cy = matrix[[0, 4, 2, 5]].tolist()
-    else:
-        raise InvalidRecordingError(f"{topic}: no calibration matrix; give --intrinsics FILE")
-    distorted = bool(np.abs(coefficients).max(initial=0.0) > 0)
-    if distorted and model not in _BROWN | _FISHEYE:
-        raise InvalidRecordingError(
-            f"{topic}: distortion model {info.distortion_model!r} with coefficients; known are "
-            f"{', '.join(sorted(_BROWN | _FISHEYE - {''}))}; give --intrinsics FILE"
-        )
-    if not (fx > 0 and fy > 0):
-        raise InvalidRecordingError(
-            f"{topic}: focal lengths ({fx:g}, {fy:g}), so the camera was not calibrated; "
-            "give --intrinsics FILE"
-        )
+    lens, model = _lens_of(info), str(info.distortion_model).lower()
+    rectified = rectified and lens["P"][0] > 0
+    fx, cx, fy, cy = (lens["P"][[0, 2, 5, 6]] if rectified else lens["K"][[0, 2, 4, 5]]).tolist()
+    straight = rectified or not np.abs(lens["D"]).max(initial=0.0) > 0
+    coefficients = () if straight else tuple(lens["D"].tolist())
+    problem = ""
+    if coefficients and model not in _BROWN | _FISHEYE:
+        known = ", ".join(sorted(_BROWN | _FISHEYE - {""}))
+        problem = f"distortion model {info.distortion_model!r} with coefficients; known are {known}"
+    elif not (fx > 0 and fy > 0):
+        problem = f"focal lengths ({fx:g}, {fy:g}), so the camera was not calibrated"
+    if problem:
+        raise InvalidRecordingError(f"{topic}: {problem}; give --intrinsics FILE")
+    fisheye = bool(coefficients) and model in _FISHEYE
+    size = int(info.width), int(info.height)
     try:
-        return Intrinsics(
-            int(info.width), int(info.height), fx, fy, cx, cy,
-            tuple(coefficients.tolist()) if distorted else (),
-            fisheye=distorted and model in _FISHEYE,
-        )  # fmt: skip
+        return Intrinsics(*size, fx, fy, cx, cy, coefficients, fisheye)
     except InvalidRecordingError as error:
         raise InvalidRecordingError(f"{topic}: {error}") from error
 
 
 def lens_words(info: Any) -> str:
     """Return the numbers of a CameraInfo that place a pixel, as text."""
-    words = [f"{int(info.width)} x {int(info.height)}"]
-    for name in ("k", "d", "p"):
-        values = np.asarray(getattr(info, name, getattr(info, name.upper(), ()))).ravel()
-        words.append(f"{name.upper()} {np.round(values, 6).tolist()}")
-    return ", ".join(words)
-
-
-def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:
-    """Return the transform of a geometry_msgs Transform or Pose."""
-    q = transform.rotation if hasattr(transform, "rotation") else transform.orientation
-    t = transform.translation if hasattr(transform, "translation") else transform.position
-    quaternion, translation = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
-    if not (np.isfinite(translation).all() and 0.5 < np.linalg.norm(quaternion) < 2.0):
-        raise TruncatedError("a transform that is not rigid")
-    result = np.eye(4)
-    result[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    result[:3, 3] = translation
-    return result
+    words = [f"{name} {np.round(one, 6).tolist()}" for name, one in _lens_of(info).items()]
+    return ", ".join([f"{int(info.width)} x {int(info.height)}", *words])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack_capture.importing.images import png_depth
+from clothtrack_capture.importing.images import packed_color, packed_depth, packed_mask, png_depth
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import (
@@ -21,7 +21,6 @@ from clothtrack_capture.importing.intrinsics_file import (
     read_json,
     text_of,
 )
-from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth, packed_mask
 from clothtrack_capture.importing.source import (
     Content,
     StreamFrame,

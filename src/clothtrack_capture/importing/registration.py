@@ -1,6 +1,7 @@
 """Registration of depth to the color camera, so that the same pixel shows the same point."""
 
 import threading
+from typing import no_type_check
 
 import numpy as np
 import warp as wp
@@ -8,8 +9,15 @@ from jaxtyping import UInt8, UInt16
 
 from clothtrack.errors import TruncatedError
 from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.registration_kernels import FARTHEST, splat
 from clothtrack_capture.importing.source import StereoCalibration
+
+# Greater than every painted value; its low 16 bits are 0, which means "no depth".
+_FARTHEST = 0x7FFF0000
+# Added where a rectangle only reaches a pixel, so that every rectangle that covers it wins.
+_BEHIND = wp.constant(0x10000)
+_WIDEST = wp.constant(32)
+# Less than half a pixel, so that pictures whose pixels coincide gain nothing.
+_REACH = wp.constant(0.49)
 
 
 class Registration:
@@ -25,59 +33,42 @@ class Registration:
 
     def __init__(self, calibration: StereoCalibration, depth_unit_m: float) -> None:
         """Precompute the rays of every pixel."""
-        self._calibration = calibration
-        self.intrinsics: Intrinsics = (calibration.color or calibration.depth).rectified()
+        self._depth, self._color = calibration.depth, calibration.color or calibration.depth
+        self.intrinsics: Intrinsics = self._color.rectified()
         self.carried = not calibration.registered
         self._lock = threading.Lock()
         if self.carried:
-            rays = calibration.depth.corner_rays()
+            rays = self._depth.corner_rays()
             ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
             # The projections include the intrinsics: pixels times depth, and depth, in units.
             project = self.intrinsics.matrix @ calibration.color_from_depth[:3]
-            shift = project[:, 3] / depth_unit_m
-            self._shift = wp.vec3(*shift.tolist())
+            self._shift = wp.vec3(*(project[:, 3] / depth_unit_m).tolist())
             with np.errstate(over="ignore", invalid="ignore"):
                 corners = (ahead @ project[:, :3].T).astype(np.float32)
             self._corners = wp.array(corners, dtype=wp.vec3, device="cpu")
-            self._painted = np.empty(
-                (self.intrinsics.height, self.intrinsics.width), dtype=np.int32
-            )
-            self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
+            self._painted = np.empty(self.intrinsics.size[::-1], dtype=np.int32)
+            self._pixels = wp.array(self._painted, device="cpu", copy=False)
 
     def keeps_depth(self, size: tuple[int, int]) -> bool:
         """Return whether depth pictures of this width and height are passed through."""
-        _check_size(size, self._calibration.depth)
-        return not self.carried and self._calibration.depth.straight
+        return _of_size(size, self._depth).straight and not self.carried
 
     def keeps_color(self, size: tuple[int, int]) -> bool:
         """Return whether color pictures of this width and height are passed through."""
-        intrinsics = self._calibration.color or self._calibration.depth
-        _check_size(size, intrinsics)
-        return intrinsics.straight
+        return _of_size(size, self._color).straight
 
     def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
         """Return the depth picture for the recording's camera, in the same units."""
-        intrinsics = self._calibration.depth
-        _check_size(counts.shape[1::-1], intrinsics)
+        lens = _of_size(counts.shape[1::-1], self._depth)
         if not self.carried:
-            return intrinsics.straighten(counts, nearest=True)
+            return lens.straighten(counts, nearest=True)
         # Run one launch at a time, because the buffers are shared and Warp handles several threads
         # badly.
         with self._lock:
-            self._painted.fill(FARTHEST)
-            wp.launch(
-                splat,
-                dim=counts.shape[0],
-                inputs=[
-                    wp.array(np.ascontiguousarray(counts), device="cpu", copy=False),
-                    self._corners,
-                    self._shift,
-                    self.intrinsics.width,
-                    self.intrinsics.height,
-                    self._pixels,
-                ],
-                device="cpu",
-            )
+            self._painted.fill(_FARTHEST)
+            measured = wp.array(np.ascontiguousarray(counts), device="cpu", copy=False)
+            inputs = [measured, self._corners, self._shift, self._pixels]
+            wp.launch(_splat, dim=len(counts), inputs=inputs, device="cpu")
             # Keep the low 16 bits, which are 0 where nothing was painted.
             return self._painted.astype(np.uint16)
 
@@ -85,14 +76,60 @@ class Registration:
         self, picture: UInt8[np.ndarray, "_ _ *channels"], *, nearest: bool = False
     ) -> UInt8[np.ndarray, "_ _ *channels"]:
         """Return the color picture, or a mask of it (`nearest`), without distortion."""
-        intrinsics = self._calibration.color or self._calibration.depth
-        _check_size(picture.shape[1::-1], intrinsics)
-        return intrinsics.straighten(picture, nearest=nearest)
+        return _of_size(picture.shape[1::-1], self._color).straighten(picture, nearest=nearest)
 
 
-def _check_size(size: tuple[int, ...], intrinsics: Intrinsics) -> None:
-    if size != intrinsics.size:
+def _of_size(size: tuple[int, ...], lens: Intrinsics) -> Intrinsics:
+    if size != lens.size:
         raise TruncatedError(
             f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for "
-            f"{intrinsics.width} x {intrinsics.height}"
+            f"{lens.width} x {lens.height}"
         )
+    return lens
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def _splat(
+    counts: wp.array2d(dtype=wp.uint16),  # depth [units]
+    corners: wp.array2d(dtype=wp.vec3),  # rays of pixel corners, times rotation and intrinsics
+    shift: wp.vec3,  # translation to the other camera, times its intrinsics [units]
+    painted: wp.array2d(dtype=wp.int32),  # pixels of the other picture, initially _FARTHEST
+):
+    """Paint every measured pixel of a row; the low 16 bits of painted values are the depth.
+
+    A pixel is the rectangle between two opposite corners, projected at its depth.
+    """
+    row = wp.tid()
+    height, width = painted.shape[0], painted.shape[1]
+    for column in range(counts.shape[1]):
+        count = float(counts[row, column])
+        if count == 0.0:
+            continue
+        one = count * corners[row, column] + shift
+        other = count * corners[row + 1, column + 1] + shift
+        # This form of the comparison also rejects NaN.
+        if not (one[2] > 0.0 and other[2] > 0.0):
+            continue
+        value = int(0.5 * (one[2] + other[2]) + 0.5)
+        near, far = 1.0 / one[2], 1.0 / other[2]
+        u, v, s, t = one[0] * near, one[1] * near, other[0] * far, other[1] * far
+        left, right, top, bottom = wp.min(u, s), wp.max(u, s), wp.min(v, t), wp.max(v, t)
+        inside = right > -1.0 and left < float(width) and bottom > -1.0 and top < float(height)
+        if value < 1 or value > 65535 or not inside:
+            continue
+        # Clip to the picture, because larger coordinates may overflow an integer.
+        left, right = wp.max(left, -1.0), wp.min(right, float(width))
+        top, bottom = wp.max(top, -1.0), wp.min(bottom, float(height))
+        # From here on the rectangle and its extension are in whole pixels.
+        first, last = int(wp.ceil(left)), int(wp.ceil(right))
+        upper, lower = int(wp.ceil(top)), int(wp.ceil(bottom))
+        start = wp.max(int(wp.ceil(left - _REACH)), 0)
+        stop = wp.min(wp.min(int(wp.ceil(right + _REACH)), width), start + _WIDEST)
+        above = wp.max(int(wp.ceil(top - _REACH)), 0)
+        below = wp.min(wp.min(int(wp.ceil(bottom + _REACH)), height), above + _WIDEST)
+        for y in range(above, below):
+            across = wp.where(y >= upper and y < lower, value, value + _BEHIND)
+            for x in range(start, stop):
+                depth = wp.where(x >= first and x < last, across, value + _BEHIND)
+                wp.atomic_min(painted, y, x, depth)

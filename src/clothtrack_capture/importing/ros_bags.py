@@ -15,11 +15,11 @@ from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.bag_pickers import bag_paths
 from clothtrack_capture.importing.bag_walk import frame_of, in_time_order, open_parts, walk
 from clothtrack_capture.importing.containers import Container, Topic
+from clothtrack_capture.importing.images import packed_color, packed_depth
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
 from clothtrack_capture.importing.messages import decode, intrinsics_of, payload
-from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
 from clothtrack_capture.importing.source import (
     Content,
     StereoCalibration,

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.recordings.recording import PickerPath
+from clothtrack_capture.importing.images import PackedPicture
 from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.packed_pictures import PackedPicture
 from clothtrack_capture.importing.units import DepthUnit
 
 # Pixels, or an encoded file of them.

@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation, Slerp
 
+from clothtrack.errors import TruncatedError
+from clothtrack.geometry.camera import rigid_problem
+
 # Smallest spacing of samples that a tip's path needs [ns]; joints are published at up to 1 kHz.
 _CLOSEST_NS = 4_000_000
-_DEEPEST = 100
 
 
 @dataclass
@@ -24,31 +26,32 @@ class _Edge:
 
     def at(self, times: Int64[np.ndarray, " times"]) -> Float[np.ndarray, "times 4 4"]:
         """Return the transform from child to parent at each time [ns]."""
-        known = np.frombuffer(self.times, dtype=np.int64)
-        numbers = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 7)
-        order = np.argsort(known, kind="stable")
-        known, numbers = known[order], numbers[order]
-        keep = np.concatenate([[True], np.diff(known) > 0])
-        known, numbers = known[keep], numbers[keep]
-        result = np.tile(np.eye(4), (len(times), 1, 1))
+        known, first = np.unique(np.frombuffer(self.times, dtype=np.int64), return_index=True)
+        numbers = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 7)[first]
         if len(known) == 1:
-            result[:, :3, :3] = Rotation.from_quat(numbers[0, 3:]).as_matrix()
-            result[:, :3, 3] = numbers[0, :3]
-            return result
-        inside = np.clip(times, known[0], known[-1]) - known[0]
+            known, numbers = known[0] + np.arange(2), numbers[[0, 0]]
+        result = np.tile(np.eye(4), (len(times), 1, 1))
+        inside = (np.clip(times, known[0], known[-1]) - known[0]) / 1e9
         seconds = (known - known[0]) / 1e9
-        slerp = Slerp(seconds, Rotation.from_quat(numbers[:, 3:]))
-        result[:, :3, :3] = slerp(inside / 1e9).as_matrix()
+        result[:, :3, :3] = Slerp(seconds, Rotation.from_quat(numbers[:, 3:]))(inside).as_matrix()
         for axis in range(3):
-            result[:, axis, 3] = np.interp(inside / 1e9, seconds, numbers[:, axis])
+            result[:, axis, 3] = np.interp(inside, seconds, numbers[:, axis])
         return result
+
+
+def rigid(rotation: Any, translation: Any) -> Float[np.ndarray, "4 4"]:
+    """Return the transform of a rotation (nine numbers) and a translation [m]; refuse another."""
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = np.reshape(rotation, (3, 3)), translation
+    if problem := rigid_problem(result) if np.isfinite(result).all() else "is not finite":
+        raise TruncatedError(f"a transform {problem}")
+    return result
 
 
 class TransformTree:
     """The frames and their transforms to their parents, collected message by message."""
 
     def __init__(self) -> None:
-        """Start without frames."""
         self._edges: dict[str, _Edge] = {}
 
     @property
@@ -57,15 +60,9 @@ class TransformTree:
         return sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
 
     def add(
-        self,
-        parent: str,
-        child: str,
-        time_ns: int,
-        translation: Sequence[float],
-        quaternion: Sequence[float],
-        *,
-        static: bool,
-    ) -> None:
+        self, parent: str, child: str, time_ns: int, translation: Sequence[float],
+        quaternion: Sequence[float], *, static: bool,
+    ) -> None:  # fmt: skip
         """Add the pose of `child` in `parent`; ignore it if it is not rigid."""
         numbers = np.array([*translation, *quaternion], dtype=np.float64)
         if not np.isfinite(numbers).all() or not 0.5 < np.linalg.norm(numbers[3:]) < 2:
@@ -74,9 +71,7 @@ class TransformTree:
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent:
             edge = self._edges[child] = _Edge(parent, static)
-        if edge.static and edge.times:
-            return
-        if edge.times and abs(time_ns - edge.times[-1]) < _CLOSEST_NS:
+        if edge.times and (edge.static or abs(time_ns - edge.times[-1]) < _CLOSEST_NS):
             return
         edge.times.append(time_ns)
         edge.numbers.extend(numbers.tolist())
@@ -86,12 +81,10 @@ class TransformTree:
     ) -> None:
         """Add a TransformStamped, at `sent_ns` if it has no time, or always (`written`)."""
         stamp = stamped.header.stamp
+        time_ns = sent_ns if written else stamp.sec * 10**9 + stamp.nanosec or sent_ns
         t, q = stamped.transform.translation, stamped.transform.rotation
-        self.add(
-            stamped.header.frame_id, stamped.child_frame_id,
-            sent_ns if written else stamp.sec * 10**9 + stamp.nanosec or sent_ns, (t.x, t.y, t.z),
-            (q.x, q.y, q.z, q.w), static=static,
-        )  # fmt: skip
+        self.add(stamped.header.frame_id, stamped.child_frame_id, time_ns, (t.x, t.y, t.z),
+                 (q.x, q.y, q.z, q.w), static=static)  # fmt: skip
 
     def forget(self, before_ns: int) -> None:
         """Remove samples before a time, except the last sample of each frame up to it."""
@@ -106,27 +99,24 @@ class TransformTree:
 
     def connects(self, first: str, other: str) -> bool:
         """Return whether both frames are in the same tree."""
-        return self._chain(first)[-1] == self._chain(other)[-1]
+        return self.root(first) == self.root(other)
 
     def moments(self, target: str, source: str) -> Int64[np.ndarray, " times"]:
         """Return the times [ns] at which two frames' transform is known; one time if static."""
-        text = [
-            np.frombuffer(self._edges[name].times, dtype=np.int64)
-            for name in self._between(target, source)
-            if not self._edges[name].static
-        ]
-        if not text:
+        links = [self._edges[name] for name in {*self._chain(target)} ^ {*self._chain(source)}
+                 if name in self._edges]  # fmt: skip
+        known = [np.frombuffer(edge.times, dtype=np.int64) for edge in links if not edge.static]
+        if not known:
             return np.zeros(1, dtype=np.int64)
         # The transform is known only where all moving links have samples.
-        first, last = max(times.min() for times in text), min(times.max() for times in text)
-        every = np.unique(np.concatenate(text))
+        first, last = max(times.min() for times in known), min(times.max() for times in known)
+        every = np.unique(np.concatenate(known))
         return every[(every >= first) & (every <= last)]
 
     def lookup(
         self, target: str, source: str, times: Int64[np.ndarray, " times"]
     ) -> Float[np.ndarray, "times 4 4"]:
         """Return the transform from frame `source` to frame `target` at each time [ns]."""
-        target, source = target.lstrip("/"), source.lstrip("/")
         return np.linalg.inv(self._to_root(target, times)) @ self._to_root(source, times)
 
     def _to_root(self, frame: str, times: np.ndarray) -> np.ndarray:
@@ -137,13 +127,6 @@ class TransformTree:
 
     def _chain(self, frame: str) -> list[str]:
         chain = [frame.lstrip("/")]
-        while chain[-1] in self._edges and len(chain) < _DEEPEST:
-            parent = self._edges[chain[-1]].parent
-            if parent in chain:
-                break
-            chain.append(parent)
+        while (edge := self._edges.get(chain[-1])) and edge.parent not in chain:
+            chain.append(edge.parent)
         return chain
-
-    def _between(self, first: str, other: str) -> list[str]:
-        mine, yours = self._chain(first), self._chain(other)
-        return [name for name in {*mine} ^ {*yours} if name in self._edges]
