@@ -87,11 +87,9 @@ class FileOnDemand:
 
     def read(self, position: int, size: int) -> bytes:
         """Return exactly `size` bytes from a position of the file."""
-        if 0 <= size <= MOST_BYTES and position + size <= self.size:
-            data = os.pread(self._file.fileno(), size, position)
-            if len(data) == size:
-                return data
-        raise TruncatedError(f"{size} bytes at {position} of {self.size}")
+        if not 0 <= size <= min(MOST_BYTES, self.size - position):
+            raise TruncatedError(f"{size} bytes at {position} of {self.size}")
+        return os.pread(self._file.fileno(), size, position)
 
 
 class Record(NamedTuple):
@@ -187,8 +185,7 @@ def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
     try:
         if compression == "zstd":
             decoder = zstandard.ZstdDecompressor(max_window_size=2**27)
-            with decoder.stream_reader(data) as stream:
-                unpacked = stream.read(most + 1)
+            unpacked = decoder.stream_reader(data).read(most + 1)
         elif compression == "lz4":
             unpacked = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1)
         elif compression == "bz2":

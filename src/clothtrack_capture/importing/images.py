@@ -7,6 +7,7 @@ PNG in a source is copied unchanged.
 import struct
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,16 +22,12 @@ from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 
 _TO_RGB = {
     "rgb8": (3, None),
-    "8uc3": (3, cv2.COLOR_BGR2RGB),
-    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    **dict.fromkeys(("8uc3", "bgr8"), (3, cv2.COLOR_BGR2RGB)),
     "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
-    "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "8uc1": (1, cv2.COLOR_GRAY2RGB),
-    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    **dict.fromkeys(("mono8", "8uc1"), (1, cv2.COLOR_GRAY2RGB)),
+    **dict.fromkeys(("uyvy", "yuv422"), (2, cv2.COLOR_YUV2RGB_UYVY)),
+    **dict.fromkeys(("yuyv", "yuv422_yuy2"), (2, cv2.COLOR_YUV2RGB_YUY2)),
     # OpenCV names a pattern by its second row and column, ROS by its first row and column.
     "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB),
     "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
@@ -70,10 +67,7 @@ def raw_depth(image: Any) -> Shaped[np.ndarray, "height width"]:
 
 
 def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
-    """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
-
-    Floats are in meters (REP 118), counts in units of `unit_m` [m].
-    """
+    """Return the depth of a sensor_msgs Image of meters or counts [m]; 0 where there is none."""
     numbers = raw_depth(image)
     if numbers.dtype.kind == "u":
         return np.multiply(numbers, np.float32(unit_m), dtype=np.float32)
@@ -93,18 +87,13 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
 
 def to_rgb(picture: np.ndarray, conversion: int) -> UInt8[np.ndarray, "height width 3"]:
     """Return a picture converted by OpenCV."""
-    try:
+    with suppress(cv2.error):
         return cv2.cvtColor(picture, conversion)
-    except cv2.error as error:
-        raise TruncatedError(f"a picture that cannot be converted ({error.err})") from error
+    raise TruncatedError(f"a picture of shape {picture.shape} that cannot be converted")
 
 
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
-    """Return the PNG in a CompressedImage of depth, and the parameters of depth in floats.
-
-    The transport `compressedDepth` writes 12 bytes before the PNG; for floats, the last eight are
-    the parameters a and b of a / z + b.
-    """
+    """Return the PNG in a CompressedImage of depth, and for floats a and b of a / z + b."""
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
     if "rvl" in form or start < 0:
@@ -116,6 +105,7 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
         return data[start:], None
     if start < 8:
         raise TruncatedError("compressedDepth of floats without its head")
+    # The transport `compressedDepth` writes 12 bytes before the PNG: format, a and b.
     return data[start:], struct.unpack_from("<ff", data, start - 8)
 
 
@@ -155,13 +145,10 @@ def _decoded(data: bytes, flags: int) -> Any:
     encoded_size(data)
     if data.startswith(SIGNATURE):
         _chunks(data)
-    try:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as error:
-        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
-    if picture is None:
-        raise TruncatedError("a picture that cannot be decoded")
-    return picture
+    with suppress(cv2.error):
+        if (picture := cv2.imdecode(np.frombuffer(data, np.uint8), flags)) is not None:
+            return picture
+    raise TruncatedError("a picture that cannot be decoded")
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, slice]]:
@@ -231,10 +218,9 @@ class PackedPicture:
         row = 1 + width * _SAMPLE_BYTES[self.form]
         packed = b"".join(self.data[span] for kind, span in chunks if kind == b"IDAT")
         unpacker = zlib.decompressobj()
-        try:
+        rows = b""
+        with suppress(zlib.error):
             rows = unpacker.decompress(packed, height * row + 1)
-        except zlib.error as error:
-            raise TruncatedError(f"a PNG whose pixels are damaged ({error})") from error
         whole = len(rows) == height * row and unpacker.eof
         if not whole or max(rows[::row]) > _MOST_FILTER:
             raise TruncatedError("a PNG whose pixels are damaged")

@@ -41,10 +41,8 @@ class Intrinsics:
                 f"intrinsics {numbers} are not finite; give them with --intrinsics FILE"
             )
         if not (self.width > 0 and self.height > 0 and self.width * self.height <= MOST_PIXELS):
-            raise InvalidRecordingError(
-                f"a camera of {self.width} x {self.height} pixels; at least one and at most "
-                f"{MOST_PIXELS} in all"
-            )
+            size = f"{self.width} x {self.height}"
+            raise InvalidRecordingError(f"a camera of {size} pixels; known are 1 to {MOST_PIXELS}")
         known = (4,) if self.fisheye else _BROWN_LENGTHS
         if len(self.distortion) not in known:
             raise InvalidRecordingError(

@@ -1,12 +1,9 @@
 """Azure Kinect and Orbbec Femto recordings (`.mkv`) as a source.
 
 FFmpeg reads the file once to list the pictures, which are fetched later from their positions. From
-a truncated file, all complete pictures are used.
-
-The attached JSON holds each camera's intrinsics for its full sensor, as shares of the sensor's
-sides, with the first pixel's outer corner at (0, 0). A mode bins and crops the sensor. OpenCV's
-origin is the center of the first pixel. (Modes as in the Azure Kinect Sensor SDK,
-`mode_specific_calibration.c`.)
+a truncated file, all complete pictures are used. The attached JSON holds each camera's intrinsics
+for its full sensor, as shares of its sides, with the first pixel's outer corner at (0, 0); a mode
+bins and crops the sensor (`mode_specific_calibration.c` of the Azure Kinect Sensor SDK).
 """
 
 import json
@@ -44,17 +41,12 @@ _RAW_COLOR = {"NV12": (1, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2, cv2.COLOR_YUV2RGB
 # Per picture size: the sensor after binning and the first pixel of the crop, (along x, along y).
 # No two modes have the same size. Of depth: narrow binned, narrow, wide binned, wide.
 _MODES = {
-    (320, 288): ((512, 512), (96, 90)),
-    (640, 576): ((1024, 1024), (192, 180)),
-    (512, 512): ((512, 512), (0, 0)),
-    (1024, 1024): ((1024, 1024), (0, 0)),
-    (1280, 720): ((1280, 960), (0, 120)),
-    (1920, 1080): ((1920, 1440), (0, 180)),
-    (2560, 1440): ((2560, 1920), (0, 240)),
-    (2048, 1536): ((2048, 1536), (0, 0)),
-    (3840, 2160): ((3840, 2880), (0, 360)),
-    (4096, 3072): ((4096, 3072), (0, 0)),
-}
+    (320, 288): ((512, 512), (96, 90)), (640, 576): ((1024, 1024), (192, 180)),
+    (512, 512): ((512, 512), (0, 0)), (1024, 1024): ((1024, 1024), (0, 0)),
+    (1280, 720): ((1280, 960), (0, 120)), (1920, 1080): ((1920, 1440), (0, 180)),
+    (2560, 1440): ((2560, 1920), (0, 240)), (2048, 1536): ((2048, 1536), (0, 0)),
+    (3840, 2160): ((3840, 2880), (0, 360)), (4096, 3072): ((4096, 3072), (0, 0)),
+}  # fmt: skip
 # Old calibrations are for a 16:9 picture cropped from the 4:3 sensor.
 _LEGACY = ((4096, 2304), (0, -384), (4096, 3072))
 _DEPTH_PLACE, _COLOR_PLACE = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
@@ -89,9 +81,8 @@ class Matroska:
         self.close = self._file.close
         with _logged_errors() as errors:
             try:
-                with av.open(
-                    f"file:{path}", format="matroska", metadata_errors="replace"
-                ) as container:
+                how = {"format": "matroska", "metadata_errors": "replace"}
+                with av.open(f"file:{path}", **how) as container:
                     self._learn(container)
                     self._walk(path, container)
             except FFmpegError as error:
@@ -172,12 +163,10 @@ class KinectSource:
         content, notes = self._file, list[str]()
         if content.damage:
             whole = sum(map(len, content.frames.values()))
-            notes.append(
-                f"the file breaks off or is damaged ({content.damage}); {whole} whole pictures "
-                "were saved"
-            )
-        depth, color = self._track("DEPTH"), self._track("COLOR")
-        self._color = color = None if options.without_color else color
+            notes.append(f"the file breaks off or is damaged ({content.damage}); {whole} whole "
+                         "pictures were saved")  # fmt: skip
+        depth = self._track("DEPTH")
+        self._color = color = None if options.without_color else self._track("COLOR")
         if depth is None:
             names = ", ".join(repr(track.name) for track in content.tracks) or "none"
             lost = "".join(f" ({note})" for note in notes)
@@ -193,12 +182,13 @@ class KinectSource:
             origins["color"] = f"track {color.name}"
         if options.picker_topic or options.picker_frame or options.gripper_topic:
             notes.append("a Kinect recording has no topics: the picker's path is not in it")
+        unit = DepthUnit(1e-3, "the format: millimeters")
+        if options.depth_unit_m is not None:
+            unit = DepthUnit(options.depth_unit_m, "given by --depth-unit-m")
         return Streams(
             kind="Azure Kinect / Orbbec Femto recording (Matroska)",
             calibration=calibration,
-            unit=DepthUnit(1e-3, "the format: millimeters")
-            if options.depth_unit_m is None
-            else DepthUnit(options.depth_unit_m, "given by --depth-unit-m"),
+            unit=unit,
             ask_unit="",
             depth=content.frames.get(depth.number, []),
             color=None if color is None else content.frames.get(color.number, []),
@@ -230,10 +220,7 @@ class KinectSource:
 def kinect_intrinsics(
     path: Path, text: bytes, depth_size: tuple[int, int], color_size: tuple[int, int] | None
 ) -> tuple[Intrinsics, Intrinsics | None, Float[np.ndarray, "4 4"]]:
-    """Return the intrinsics of depth and color and the transform from depth to color camera [m].
-
-    The text is the calibration as JSON; the sizes are width and height of the pictures [pixels].
-    """
+    """Return the intrinsics of depth and color and the transform from depth to color camera [m]."""
     try:
         cameras = json.loads(text.split(b"\0")[0])["CalibrationInformation"]["Cameras"]
         by_place = {camera["Location"]: camera for camera in cameras}

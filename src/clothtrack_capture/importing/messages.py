@@ -19,7 +19,6 @@ from clothtrack_capture.importing.containers import ZSTD_MAGIC, Container, Place
 from clothtrack_capture.importing.intrinsics import Intrinsics
 
 _TF = "tf2_msgs/msg/TFMessage"
-_STAMP_BYTES = 12
 # Headers of these messages start with a stamp.
 _STAMPED = re.compile(r"^(sensor_msgs/msg/|geometry_msgs/msg/\w+Stamped$|nav_msgs/msg/Odometry$)")
 _BROWN = {"", "plumb_bob", "rational_polynomial", "none", "brown conrady", "modified brown conrady"}
@@ -60,14 +59,13 @@ def stamp_ns(container: Container, topic: Topic, place: Place) -> int:
     if not _STAMPED.match(topic.kind):
         return 0
     data = container.fetch(place, 16)
-    if data.startswith(ZSTD_MAGIC):
-        data = payload(container, place)[:16]
-    return header_stamp_ns(topic, data)
+    packed = data.startswith(ZSTD_MAGIC)
+    return header_stamp_ns(topic, payload(container, place) if packed else data)
 
 
 def header_stamp_ns(topic: Topic, data: bytes) -> int:
     """Return the time in the header at the start of a message [ns]; 0 if there is none."""
-    if len(data) < _STAMP_BYTES:
+    if len(data) < 12:
         raise TruncatedError(f"{topic.name}: a message without a header")
     order = "<" if not topic.cdr or data[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack(order + "II", data[4:12])
@@ -87,10 +85,7 @@ def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, fl
 
 
 def gripper_joints(names: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
-    """Return the joints of a gripper among those of a JointState, as asked for or by their names.
-
-    Where no name tells, two joints or one are the gripper's.
-    """
+    """Return a gripper's joints: those asked for, or by their names, or all of at most two."""
     if asked:
         return [name for name in names if name in asked]
     fingers = [name for name in names if _FINGER.search(name)]
@@ -98,10 +93,7 @@ def gripper_joints(names: Sequence[str], asked: Sequence[str] = ()) -> list[str]
 
 
 def grip_of(message: Any, joints: Sequence[str] = ()) -> bool | float | None:
-    """Return whether a gripper is closed (Bool), or its opening, or None if neither is given.
-
-    The opening of a JointState is the sum of the gripper's joints: those asked for, or by name.
-    """
+    """Return whether a gripper is closed, or its opening, summed over joints; None without both."""
     names, value = list(getattr(message, "name", ())), message
     for name in ("position", "data"):
         value = getattr(value, name, value)
@@ -119,8 +111,8 @@ def grip_of(message: Any, joints: Sequence[str] = ()) -> bool | float | None:
 
 def _lens_of(info: Any) -> dict[str, np.ndarray]:
     """Return the matrix K, the distortion D and the projection P of a CameraInfo."""
-    return {name: np.asarray(getattr(info, name, getattr(info, name.lower(), ())), np.float64).ravel()
-            for name in "KDP"}  # fmt: skip
+    lens = {name: getattr(info, name, getattr(info, name.lower(), ())) for name in "KDP"}
+    return {name: np.asarray(one, dtype=np.float64).ravel() for name, one in lens.items()}
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:

@@ -23,12 +23,10 @@ _REACH = wp.constant(0.49)
 class Registration:
     """A registration that undistorts both pictures and maps depth to the color camera.
 
-    Each depth pixel is drawn as the rectangle that it covers in the color picture, so that a finer
-    color picture has no cracks. If several fall on one pixel, the nearest is kept. A pixel between
-    rectangles takes the depth of one that ends within half a pixel of it. This keeps slanted
-    surfaces closed, and edges do not grow over the surface measured behind them. Pixels farther
-    from any depth pixel stay 0. Pictures that are already registered are passed through unchanged,
-    bit by bit.
+    Each depth pixel is drawn as the rectangle that it covers in the color picture, the nearest
+    winning, so that a finer color picture has no cracks. A pixel between rectangles takes the depth
+    of one that ends within half a pixel of it, which keeps slanted surfaces closed; edges do not
+    grow over what is behind. Pictures that are registered already pass through bit by bit.
     """
 
     def __init__(self, calibration: StereoCalibration, depth_unit_m: float) -> None:
@@ -96,10 +94,7 @@ def _splat(
     shift: wp.vec3,  # translation to the other camera, times its intrinsics [units]
     painted: wp.array2d(dtype=wp.int32),  # pixels of the other picture, initially _FARTHEST
 ):
-    """Paint every measured pixel of a row; the low 16 bits of painted values are the depth.
-
-    A pixel is the rectangle between two opposite corners, projected at its depth.
-    """
+    """Paint every measured pixel of a row as the rectangle between its corners at its depth."""
     row = wp.tid()
     height, width = painted.shape[0], painted.shape[1]
     for column in range(counts.shape[1]):

@@ -76,9 +76,8 @@ class TransformTree:
         edge.times.append(time_ns)
         edge.numbers.extend(numbers.tolist())
 
-    def add_message(
-        self, stamped: Any, sent_ns: int, *, static: bool, written: bool = False
-    ) -> None:
+    def add_message(self, stamped: Any, sent_ns: int, *, static: bool, written: bool = False
+                    ) -> None:  # fmt: skip
         """Add a TransformStamped, at `sent_ns` if it has no time, or always (`written`)."""
         stamp = stamped.header.stamp
         time_ns = sent_ns if written else stamp.sec * 10**9 + stamp.nanosec or sent_ns
