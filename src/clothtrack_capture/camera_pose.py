@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -250,11 +250,13 @@ def save_placement(path: Path, placement: CameraPlacement) -> None:
     write_file(path, (json.dumps(placement.as_dict(), indent=1) + "\n").encode())
 
 
-def place_camera(recording: Recording, placement: CameraPlacement, *, force: bool = False) -> None:
-    """Write a camera's placement into a recording and move the other cameras along with it.
+def place_camera(
+    recording: Recording, placement: CameraPlacement, *, force: bool = False
+) -> Recording:
+    """Return the recording with a camera placed, and the other cameras moved along with it.
 
     Args:
-        recording: recording to change.
+        recording: recording to change; it is written unless it is in memory.
         placement: pose of the camera; a table of None removes the recording's table.
         force: change the world even if other data are expressed in it; those data stay unchanged.
 
@@ -273,17 +275,22 @@ def place_camera(recording: Recording, placement: CameraPlacement, *, force: boo
             "calibrate before they are made, or, if they are in the new world already, use --force"
         )
     poses = moved_along(recording, camera, placement.world_from_camera)
+    fit = {"camera_placement": {"camera": placement.camera, **placement.fit}}
 
     def change(document: dict[str, Any]) -> None:
         for entry in document["cameras"]:
             entry["world_from_camera"] = poses[entry["name"]].tolist()
         document["table"] = placement.as_dict()["table"]
-        document.setdefault("provenance", {})["camera_placement"] = {
-            "camera": placement.camera,
-            **placement.fit,
-        }
+        document.setdefault("provenance", {}).update(fit)
 
-    amend_document(recording.folder, change)
+    if not recording.in_memory:
+        amend_document(recording.folder, change)
+    return replace(
+        recording,
+        cameras=tuple(replace(c, world_from_camera=poses[c.name]) for c in recording.cameras),
+        table=placement.table,
+        provenance={**recording.provenance, **fit},
+    )
 
 
 def _given_in_world(recording: Recording) -> list[str]:

@@ -103,14 +103,8 @@ class ClickedPicking:
                 for number in range(0, len(frames) - 1, 2)
             )
 
-    def keep(self, name: str) -> tuple[tuple[ClickedAction, PickAndPlace], ...]:
-        """Write path and actions into the recording, replacing existing ones.
-
-        Args:
-            name: name of the hand.
-
-        Returns:
-            Every action, as clicked and as written.
+    def keep(self, name: str) -> Recording:
+        """Return the recording with the path of a hand, written unless it is in memory.
 
         Raises:
             InvalidConfigError: nothing was clicked, or the last pick has no place.
@@ -126,13 +120,12 @@ class ClickedPicking:
                 {"pick": _row(each.pick), "place": _row(each.place), "seen": each.seen}
                 for each in clicked
             ]
-            set_actions(
+            return set_actions(
                 self.views.recording,
                 {name: self._path(clicked, spans)},
                 spans,
                 provenance={"picker_found": {"by": "clicks", "actions": text}},
             )
-            return tuple(zip(clicked, spans, strict=True))
 
     def summary(self, action: ClickedAction) -> dict[str, object]:
         """Return the frames of pick and release of an action, and its lift [mm], for a report."""

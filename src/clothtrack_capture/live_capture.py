@@ -20,6 +20,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import ClothTrackError, InvalidRecordingError, StorageError
 from clothtrack.files.atomic_write import storage
 from clothtrack.geometry.camera import Camera
@@ -51,6 +52,8 @@ class CapturedFrame:
     time_s: float
     color: UInt8[np.ndarray, "height width 3"] | None
     depth_m: Float[np.ndarray, "height width"]
+
+    __repr__ = short_repr
 
 
 @runtime_checkable

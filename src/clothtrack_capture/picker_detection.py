@@ -142,13 +142,8 @@ def require_unmeasured(recording: Recording, *, force: bool) -> None:
         )
 
 
-def keep_picker(
-    recording: Recording, detection: PickerDetection, name: str, tip: str
-) -> int | None:
-    """Write a detection into the recording, replacing its paths and actions.
-
-    Returns:
-        The template vertex taken by the first pick; None without a template or out of reach.
+def keep_picker(recording: Recording, detection: PickerDetection, name: str, tip: str) -> Recording:
+    """Return the recording with what was detected, written unless it is in memory.
 
     Raises:
         InvalidRecordingError: no pick-and-place was found; nothing is written.
@@ -160,9 +155,13 @@ def keep_picker(
             "picks and places: it must come down to the cloth, rise by 2 cm and come down again"
         )
     text = {"by": detection.by, "tip": tip, "seen": int(detection.seen.sum())}
-    set_actions(
+    return set_actions(
         recording, {name: detection.path}, detection.actions, provenance={"picker_found": text}
     )
+
+
+def first_pick_vertex(recording: Recording, detection: PickerDetection) -> int | None:
+    """Return the template's vertex that the first pick takes; None if there is none."""
     if recording.cloth.template is None:
         return None
     grasp = detection.path.position_at(recording.frames[detection.picks[0]].time_s)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.colors import (
@@ -80,6 +81,8 @@ class ColorSegmenter:
     """
 
     members: UInt8[np.ndarray, "32 32 32"]
+
+    __repr__ = short_repr
 
     @classmethod
     def from_name(cls, name: str) -> "ColorSegmenter":
@@ -338,6 +341,30 @@ def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Seg
         f"{recording.folder}: nothing tells the cloth from the rest in frame {frame.index}, camera "
         f"{camera.name!r}; add mask/ files, or cloth.color (with color/ files), or the table"
     )
+
+
+def cloth_found_by(
+    find: Segmenter,
+    recording: Recording,
+    frame: Frame,
+    camera: Camera,
+    *,
+    color: UInt8[np.ndarray, "height width 3"] | None,
+    depth_m: Float[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:
+    """Return the mask that a segmenter gives for a frame, checked because it may be anybody's.
+
+    Raises:
+        InvalidConfigError: it has another shape or type than a mask of this picture.
+    """
+    mask = np.ascontiguousarray(find(color, depth_m, camera, recording.table))
+    if mask.shape != depth_m.shape or mask.dtype != bool:
+        raise InvalidConfigError(
+            f"{recording.folder}: frame {frame.index}: the segmenter gave {mask.dtype} of shape "
+            f"{mask.shape} for camera {camera.name!r}; return bool of shape {depth_m.shape}, True "
+            "on the cloth"
+        )
+    return mask
 
 
 def height_picture(
