@@ -258,7 +258,7 @@ def test_labels_are_judged_with_the_segmenter_that_the_run_was_tracked_with(run)
         (lambda depth: np.zeros(depth.shape[::-1], bool), r"bool of shape \(320, 240\)"),
         (lambda depth: np.zeros(depth.shape, np.uint8), r"uint8 of shape \(240, 320\)"),
         (lambda depth: np.zeros((*depth.shape, 1), bool), r"bool of shape \(240, 320, 1\)"),
-        (lambda depth: None, r"object of shape \(\)"),
+        (lambda depth: None, r"object of shape \(1,\)"),
     ],
 )
 def test_a_mask_that_is_none_is_refused_in_one_line(recording, given, told):

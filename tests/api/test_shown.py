@@ -38,13 +38,16 @@ def public_dataclasses():
 def large(kind, annotation):
     """A value of a field that would fill a screen."""
     words = str(annotation)
+    axes = re.search(r"ndarray, '([^']*)'", words)
+    sizes = [int(axis) if axis.isdigit() else 60 for axis in axes[1].split()] if axes else []
+    inner = np.zeros(sizes) if axes else "a long line of text"
     if "Mapping" in words or "dict" in words:
-        return {str(number): np.zeros((40, 3)) for number in range(100)}
+        return {str(number): inner for number in range(100)}
     if "tuple" in words or "Sequence" in words:
-        return tuple(np.zeros((40, 3)) for _ in range(100))
-    if "ndarray" in words:
-        return np.zeros((4, 4) if "4 4" in words else (60, 50, 3))
-    known = {"float": 1.0, "int": 7, "str": "many\nlines" * 90, "bool": True, "Path": Path("a")}
+        return (inner,) * 100
+    if axes:
+        return inner
+    known = {"float": 1.0, "int": 7, "str": "many\nlines" * 9, "bool": True, "Path": Path("a")}
     return next((value for name, value in known.items() if name in words), None)
 
 
