@@ -55,9 +55,14 @@ def calibrate_camera(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: no table or board is found.
     """
-    from clothtrack_capture.api.given import opened_recording, reported
+    from clothtrack_capture.api.given import opened_recording, place_of, reported
     from clothtrack_capture.board import Board
-    from clothtrack_capture.camera_pose import camera_named
+    from clothtrack_capture.camera_pose import (
+        camera_named,
+        place_camera,
+        placement_doubt,
+        save_placement,
+    )
 
     _refuse_contradictions(
         robot_poses=robot_poses, charuco=charuco, camera_on_hand=camera_on_hand,
@@ -69,7 +74,22 @@ def calibrate_camera(
         source, camera_named(source, camera), board, robot_poses,
         camera_on_hand=camera_on_hand, keep_world=keep_world, force=force,
     )  # fmt: skip
-    return reported(recording, *_placed(source, placement, output and Path(output), force=force))
+    changed = source
+    if output is None:
+        changed = place_camera(source, placement, force=force)
+    else:
+        save_placement(Path(output), placement)
+    place = place_of(recording)
+    lines = [line for name, value in placement.fit.items() for line in _lines(name, value)]
+    if output or not source.in_memory:
+        lines.append(f"written to             {output or place / 'recording.json'}")
+    doubt = placement_doubt(placement)
+    doubts = (
+        f"{place}: {doubt}: is the plane found the table? Let a bare table fill the picture, or "
+        "give a board with --charuco",
+    )
+    result = Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
+    return reported(recording, changed, result)
 
 
 def _refuse_contradictions(
@@ -115,27 +135,6 @@ def _placement(
         return place_by_board(source, camera, board)
     poses = read_robot_poses(Path(robot_poses))
     return place_by_robot(source, camera, board, poses, camera_on_hand=camera_on_hand)[0]
-
-
-def _placed(
-    source: "Recording", placement: "CameraPlacement", output: Path | None, *, force: bool
-) -> "tuple[Recording, Result]":
-    """Save a placement to the requested place and report it."""
-    from clothtrack_capture.camera_pose import place_camera, placement_doubt, save_placement
-
-    if output is not None:
-        save_placement(output, placement)
-        changed = source
-    else:
-        changed = place_camera(source, placement, force=force)
-    lines = [line for name, value in placement.fit.items() for line in _lines(name, value)]
-    lines.append(f"written to             {output or source.folder / 'recording.json'}")
-    doubt = placement_doubt(placement)
-    doubts = (
-        f"{source.folder}: {doubt}: is the plane found the table? Let a bare table fill the "
-        "picture, or give a board with --charuco",
-    )
-    return changed, Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
 
 
 def _lines(name: str, value: Any) -> list[str]:

@@ -18,6 +18,11 @@ def opened_recording(given: Recording | Path | str) -> Recording:
     return read_recording(given)
 
 
+def place_of(given: Recording | Path | str) -> Path:
+    """Return the folder as it was given, or the name of a recording in memory, for a report."""
+    return Path(given.name if isinstance(given, Recording) else given)
+
+
 def reported(
     given: Recording | Path | str, changed: Recording, result: Result
 ) -> Recording | Result:

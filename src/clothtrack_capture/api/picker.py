@@ -48,7 +48,7 @@ def find_picker(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: the recording has no table, or nothing is found.
     """
-    from clothtrack_capture.api.given import opened_recording, reported
+    from clothtrack_capture.api.given import opened_recording, place_of, reported
     from clothtrack_capture.camera_pose import camera_named
     from clothtrack_capture.picker_detection import require_unmeasured
 
@@ -66,14 +66,19 @@ def find_picker(
     chosen = camera_named(source, camera)
     require_unmeasured(source, force=force)
     if clicked:
-        return reported(recording, *_by_hand(source, chosen, (pick, place), opened))
-    return reported(recording, *_by_tip(source, chosen, tip_color or tip_click))
+        changed, lines, report = _by_hand(source, chosen, (pick, place), opened)
+    else:
+        changed, lines, report = _by_tip(source, chosen, tip_color or tip_click)
+    if changed is not source and not source.in_memory:
+        folder = place_of(recording)
+        lines.append(f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}")
+    return reported(recording, changed, Result("\n".join(lines), report))
 
 
 def _by_tip(
     recording: "Recording", camera: "Camera", tip: str | Place | None
-) -> "tuple[Recording, Result]":
-    """Find picks and places of a colored tip."""
+) -> "tuple[Recording, list[str], dict[str, Any]]":
+    """Return the recording with picks and places of a colored tip, in words and in numbers."""
     from clothtrack_capture.picker_detection import find_picker as find
     from clothtrack_capture.picker_detection import first_pick_vertex, keep_picker, tip_members
 
@@ -103,9 +108,8 @@ def _by_tip(
             for number, action in enumerate(report["actions"], start=1)
         ),
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
-        _written(recording.folder),
     ]
-    return changed, Result("\n".join(lines), report)
+    return changed, lines, report
 
 
 def _by_hand(
@@ -113,8 +117,8 @@ def _by_hand(
     camera: "Camera",
     clicks: tuple[Sequence[Place], Sequence[Place]],
     opened: Callable[[str], None] | None,
-) -> "tuple[Recording, Result]":
-    """Find picks and places from clicks that are given or made on a page."""
+) -> "tuple[Recording, list[str], dict[str, Any]]":
+    """Return the recording with picks and places from clicks, given or made on a page."""
     from clothtrack_capture.clicked_picking import ClickedPicking
     from clothtrack_capture.cloth_views import Click
 
@@ -130,7 +134,7 @@ def _by_hand(
 
         kept = pick_live(picking, name, None, opened=opened)
     if kept is None:
-        return recording, Result("nothing was saved", {"picker": name, "actions": []})
+        return recording, ["nothing was saved"], {"picker": name, "actions": []}
     rows = [
         {"first_frame": span.first_frame, "last_frame": span.last_frame, **picking.summary(action)}
         for action, span in zip(picking.actions(), kept.actions, strict=True)
@@ -141,10 +145,4 @@ def _by_hand(
         + ("" if row["seen"] else " (as clicked: the cloth's rise was not seen)")
         for number, row in enumerate(rows, start=1)
     ]
-    text = "\n".join([*lines, _written(recording.folder)])
-    return kept, Result(text, {"picker": name, "actions": rows})
-
-
-def _written(folder: Path) -> str:
-    """Return a message that says where a picker's path was written."""
-    return f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}"
+    return kept, lines, {"picker": name, "actions": rows}

@@ -39,12 +39,12 @@ def segment(
         InvalidConfigError: there is no such camera or frame.
         InvalidRecordingError: a picture cannot be read, or nothing is cloth.
     """
-    from clothtrack_capture.api.given import opened_recording, reported
+    from clothtrack_capture.api.given import opened_recording, place_of, reported
     from clothtrack_capture.camera_pose import camera_named
     from clothtrack_capture.mask_summary import summary_of
     from clothtrack_capture.segmentation_setup import SegmentationSetup
 
-    source = opened_recording(recording)
+    source, place = opened_recording(recording), place_of(recording)
     setup = SegmentationSetup(source, camera_named(source, camera))
     if click is None:
         from clothtrack_capture.segmentation_page import segment_live
@@ -54,13 +54,13 @@ def segment(
         setup.choose_click(frame, click)
         kept = setup.keep()
     if kept is None:
-        nothing = Result("nothing was kept", {"masks": 0, "recording": source.folder})
+        nothing = Result("nothing was kept", {"masks": 0, "recording": place})
         return reported(recording, source, nothing)
     summary = summary_of(kept, setup.camera)
-    lines = [str(summary), f"{summary.frames} masks are in {source.folder}"]
+    lines = [str(summary), f"{summary.frames} masks are in {place}"]
     if sheet is not None:
         from clothtrack_capture.mask_pictures import write_mask_sheet
 
         lines.append(f"{write_mask_sheet(setup, Path(sheet))}   (look at it)")
-    report = {**summary.as_dict(), "masks": summary.frames, "recording": source.folder}
+    report = {**summary.as_dict(), "masks": summary.frames, "recording": place}
     return reported(recording, kept, Result("\n".join(lines), report))
