@@ -28,17 +28,7 @@ Change = Callable[[dict[str, Any]], None]
 
 
 def amend_document(folder: Path, change: Change) -> None:
-    """Change the content of `recording.json`, replacing the file completely or not at all.
-
-    Args:
-        folder: folder of the recording.
-        change: function that changes the content in place.
-
-    Raises:
-        InvalidRecordingError: the content cannot be read, or the change would break the format's
-            rules.
-        StorageError: the disk refuses.
-    """
+    """Change the content of `recording.json`, replacing the file completely or not at all."""
     document, violations = load_document(folder)
     if document is None:
         raise InvalidRecordingError(f"{folder}: {violations[0].message}")
@@ -101,19 +91,7 @@ def set_masks(
     color: str | None = None,
     provenance: Mapping[str, object],
 ) -> Recording:
-    """Replace the masks of one camera, where `mask_of` gives one that is not empty.
-
-    Args:
-        recording: recording to change.
-        camera: name of the camera that the masks belong to.
-        mask_of: function that returns the cloth mask of a frame.
-        color: name of the cloth's color to store, if any.
-        provenance: provenance entries to add.
-
-    Raises:
-        InvalidRecordingError: the change would break the format's rules.
-        StorageError: the disk refuses.
-    """
+    """Replace the masks of one camera, where `mask_of` gives one that is not empty."""
     folder, single = recording.folder, len(recording.cameras) == 1
     found = (
         (frame.index, mask)

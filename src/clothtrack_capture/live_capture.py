@@ -236,10 +236,6 @@ def salvage_capture(target: Path) -> Recording:
     """Make a recording of the frames that a finished or interrupted capture has written.
 
     Frames whose files are missing or incomplete are left out; usually these are the last ones.
-
-    Raises:
-        InvalidRecordingError: there is no capture of this name, or it has no complete frame.
-        StorageError: the disk refuses.
     """
     target, folder = Path(target), capture_folder(target)
     if not (folder / _JOURNAL).is_file():

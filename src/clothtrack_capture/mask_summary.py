@@ -60,11 +60,7 @@ class MaskSummary:
 
 
 def summary_of(recording: Recording, camera: Camera) -> MaskSummary:
-    """Count the masks of all frames with a color picture; at least one has a mask.
-
-    Raises:
-        InvalidRecordingError: a mask cannot be read.
-    """
+    """Count the masks of all frames with a color picture; at least one has a mask."""
     frames = [frame for frame in recording.frames if camera.name in frame.color]
     masks = [frame.mask.get(camera.name) for frame in frames]
     areas = np.array([0 if mask is None else int(read_mask(mask).sum()) for mask in masks], float)

@@ -19,29 +19,18 @@ LARGEST_WIDTH = 1920
 def pick_live(
     picking: ClickedPicking,
     name: str,
-    port: int | None = None,
     *,
     stop: threading.Event | None = None,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
     """Serve the page until the clicks are saved, `stop` is set or Ctrl-C is pressed.
 
-    Args:
-        picking: receiver of the clicks.
-        name: name of the hand.
-        port: port of the server; any free one by default.
-        stop: event that ends the server from outside.
-        opened: function called with the address.
-
     Returns:
         The recording with its actions; None if the page was left without saving.
-
-    Raises:
-        InvalidConfigError: the port is not available.
     """
     stop = stop or threading.Event()
     page = _Page(picking, name, stop)
-    serve_until(stop, page.ask, page.tell, port, opened=opened)
+    serve_until(stop, page.ask, page.tell, opened=opened)
     return page.kept
 
 

@@ -16,28 +16,18 @@ LARGEST_WIDTH = 1920
 
 def segment_live(
     setup: SegmentationSetup,
-    port: int | None = None,
     *,
     stop: threading.Event | None = None,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
     """Serve the page until the masks are kept, `stop` is set or Ctrl-C is pressed.
 
-    Args:
-        setup: recording and its masks.
-        port: port of the server; any free one by default.
-        stop: event that ends the server from outside.
-        opened: function called with the address.
-
     Returns:
         The recording with its masks; None if the page was left without keeping.
-
-    Raises:
-        InvalidConfigError: the port is not available.
     """
     stop = stop or threading.Event()
     page = _Page(setup, stop)
-    serve_until(stop, page.ask, page.tell, port, opened=opened)
+    serve_until(stop, page.ask, page.tell, opened=opened)
     return page.kept
 
 

@@ -54,17 +54,7 @@ def camera_views(
     *,
     color: bool = False,
 ) -> tuple[CameraView, ...]:
-    """Return the views of all cameras that have a depth picture of this frame.
-
-    Args:
-        recording: the recording.
-        frame: one of its frames.
-        segmenter: finds the cloth; by default masks, color hint or height (`default_segmenter`).
-        color: also read color pictures that the segmenter does not use.
-
-    Raises:
-        InvalidRecordingError: a picture cannot be read.
-    """
+    """Return the views of all cameras that have a depth picture of this frame."""
     views = []
     for camera in recording.cameras:
         if camera.name not in frame.depth:

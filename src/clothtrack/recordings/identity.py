@@ -27,9 +27,6 @@ def recording_digest(recording: Recording) -> str:
     These are the document, the pickers' paths, the template, and all pictures and clouds. The
     location of the folder and its other files do not count. For a recording in memory, the same
     content is hashed, array by array and file by file.
-
-    Raises:
-        StorageError: a file cannot be read.
     """
     if recording.in_memory:
         return _digest_in_memory(recording)

@@ -132,9 +132,6 @@ def observation_of(
         frame: one of its frames.
         views: views of its cameras (`camera_views`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
-
-    Raises:
-        InvalidRecordingError: the cloud cannot be read, or no cloth is found.
     """
     clouds: list[Float[np.ndarray, "points 3"]] = []
     hidden: dict[str, Bool[np.ndarray, "height width"]] = {}

@@ -417,11 +417,7 @@ class Recording:
 
 
 def _numbers(what: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
-    """Return numbers of this shape, in which None stands for any length, or refuse them by name.
-
-    Raises:
-        InvalidRecordingError: they are no numbers, or of another shape.
-    """
+    """Return numbers of this shape, in which None stands for any length, or refuse them by name."""
     try:
         array = np.asarray(value, np.float64)
         is_right = len(array.shape) == len(shape) and all(
@@ -437,11 +433,7 @@ def _numbers(what: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray
 
 
 def _checked_path(what: str, path: Any) -> PickerPath:
-    """Return the path with arrays that belong together.
-
-    Raises:
-        InvalidRecordingError: they do not, or a time or position is not a number.
-    """
+    """Return the path with arrays that belong together."""
     if not isinstance(path, PickerPath):
         raise InvalidRecordingError(f"{what} is a {type(path).__name__}; give a ct.PickerPath")
     times = _numbers(f"{what}: time_s", path.time_s, (None,))
@@ -459,11 +451,7 @@ def _checked_path(what: str, path: Any) -> PickerPath:
 
 
 def _checked_table(name: str, table: Table) -> Table:
-    """Return the table with a unit normal.
-
-    Raises:
-        InvalidRecordingError: a vector is not three numbers, or the normal does not point up.
-    """
+    """Return the table with a unit normal."""
     point, normal = (
         _numbers(f"{name}: table.{part}", getattr(table, part), (3,))
         for part in ("point", "normal")
@@ -474,11 +462,7 @@ def _checked_table(name: str, table: Table) -> Table:
 
 
 def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
-    """Refuse depth that cannot be in meters.
-
-    Raises:
-        InvalidRecordingError: the depth is 0 everywhere, or its median is implausible.
-    """
+    """Refuse depth that cannot be in meters."""
     measured = depth_m[depth_m > 0]
     if not measured.size:
         raise InvalidRecordingError(f"{name}: the first depth picture is 0 everywhere")
@@ -493,11 +477,7 @@ def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
 def _checked_actions(
     name: str, actions: Any, paths: Mapping[str, PickerPath], times: Float[np.ndarray, " frames"]
 ) -> tuple[PickAndPlace, ...]:
-    """Return the given actions, or else those of the closures.
-
-    Raises:
-        InvalidRecordingError: frames that do not exist or follow each other, or no picker's path.
-    """
+    """Return the given actions, or else those of the closures."""
     if actions is None:
         return tuple(actions_of(paths, times.tolist())[0])
     checked: list[PickAndPlace] = []

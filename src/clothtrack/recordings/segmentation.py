@@ -276,11 +276,7 @@ class HeightSegmenter:
         camera: Camera,
         table: Table | None,
     ) -> Bool[np.ndarray, "height width"]:
-        """Return the mask of the cloth: the largest raised part and parts nearly as large.
-
-        Raises:
-            InvalidRecordingError: there is no table.
-        """
+        """Return the mask of the cloth: the largest raised part and parts nearly as large."""
         if table is None:
             raise InvalidRecordingError(
                 f"camera {camera.name!r}: no height without a table; add the field table, "
@@ -304,11 +300,7 @@ class MaskFolder:
         camera: Camera,
         table: Table | None,  # noqa: ARG002
     ) -> Bool[np.ndarray, "height width"]:
-        """Return the mask as it stands in the file.
-
-        Raises:
-            InvalidRecordingError: the file is missing, damaged, empty or of another size.
-        """
+        """Return the mask as it stands in the file."""
         if camera.name not in self.files:
             raise InvalidRecordingError(f"camera {camera.name!r} has no mask; add its file")
         file = self.files[camera.name]
@@ -326,11 +318,7 @@ class MaskFolder:
 
 
 def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Segmenter:
-    """Return the default segmenter: by masks, else by the color hint, else by height.
-
-    Raises:
-        InvalidRecordingError: nothing in the recording distinguishes the cloth from the rest.
-    """
+    """Return the default segmenter: by masks, else by the color hint, else by height."""
     if camera.name in frame.mask:
         return MaskFolder(frame.mask)
     if recording.cloth.color is not None and camera.name in frame.color:
@@ -352,11 +340,7 @@ def cloth_found_by(
     color: UInt8[np.ndarray, "height width 3"] | None,
     depth_m: Float[np.ndarray, "height width"],
 ) -> Bool[np.ndarray, "height width"]:
-    """Return the mask that a segmenter gives for a frame, checked because it may be anybody's.
-
-    Raises:
-        InvalidConfigError: it has another shape or type than a mask of this picture.
-    """
+    """Return the mask that a segmenter gives for a frame, checked because it may be anybody's."""
     mask = np.ascontiguousarray(find(color, depth_m, camera, recording.table))
     if mask.shape != depth_m.shape or mask.dtype != bool:
         raise InvalidConfigError(

@@ -44,12 +44,7 @@ class CheckedRecording:
 
 
 def check_recording(folder: Path, *, thorough: bool = False) -> CheckedRecording:
-    """Read a recording and collect everything that is wrong with it.
-
-    Args:
-        folder: the recording's folder.
-        thorough: decode every picture instead of headers, masks and first depths (slower).
-    """
+    """Read a recording and collect everything that is wrong with it."""
     folder = folder.resolve()
     document, violations = load_document(folder)
     if document is None:

@@ -132,7 +132,7 @@ def _by_hand(
     else:
         from clothtrack_capture.picking_page import pick_live
 
-        kept = pick_live(picking, name, None, opened=opened)
+        kept = pick_live(picking, name, opened=opened)
     if kept is None:
         return recording, ["nothing was saved"], {"picker": name, "actions": []}
     rows = [

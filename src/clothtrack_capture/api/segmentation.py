@@ -49,7 +49,7 @@ def segment(
     if click is None:
         from clothtrack_capture.segmentation_page import segment_live
 
-        kept = segment_live(setup, None, opened=opened)
+        kept = segment_live(setup, opened=opened)
     else:
         setup.choose_click(frame, click)
         kept = setup.keep()
