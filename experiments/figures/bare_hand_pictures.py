@@ -59,7 +59,7 @@ def walk(film: ct.Recording, place: Path, image: Callable[[str], Path]) -> None:
     source, towel = strip(film, place / "film"), place / "out" / "towel"
     timed("import", source, towel, "--cloth", "towel")
     timed("calibrate-camera", towel)
-    timed("segment", towel, "--click", 320, 240, "--keep", "--sheet", place / "masks.png")
+    timed("segment", towel, "--click", 320, 240, "--sheet", place / "masks.png")
     clicked_in_browser(film, towel, image("page"))
     draw_heights(film, ct.read_recording(towel), image("heights"))
     timed("inspect", towel)

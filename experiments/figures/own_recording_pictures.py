@@ -52,7 +52,7 @@ def walk(film: Recording, place: Path, image: Callable[[str], Path]) -> None:
     shown = table_picture(read_recording(towel))
     write_png(image("table"), shown)
     sheet = place / "masks.png"
-    run("segment", towel, "--click", 320, 240, "--keep", "--sheet", sheet)
+    run("segment", towel, "--click", 320, 240, "--sheet", sheet)
     write_png(image("masks"), smaller(read_color(sheet)))
     run("find-picker", towel, "--tip-color", "pink")
     run("inspect", towel)

@@ -114,7 +114,8 @@ def click(film: Path, target: Path, seed: int) -> tuple[ClickedAction, ...]:
         column, row = np.rint(rng.normal(pixel, CLICK_NOISE_PIXELS)).astype(int).tolist()
         off = int(rng.integers(-CLICK_NOISE_FRAMES, CLICK_NOISE_FRAMES + 1))
         picking.add(Click(min(max(frame + off, 0), last), column, row))
-    return tuple(action for action, _ in picking.keep("hand"))
+    picking.keep("hand")
+    return picking.actions()
 
 
 def holds(path: ct.PickerPath) -> list[tuple[int, int]]:

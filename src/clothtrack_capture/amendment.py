@@ -1,12 +1,13 @@
 """Changes to an existing recording that keep it valid even when they are interrupted.
 
-Each new file is written next to the old one and then renamed over it. `recording.json` is written
-last because it names the other files. Everything that a change does not concern stays as it was,
-including remarks.
+Each returns the changed recording. One in memory is not written. In a folder, each new file is
+written next to the old one and then renamed over it. `recording.json` is written last because it
+names the other files. Everything that a change does not concern stays as it was, including remarks.
 """
 
 import copy
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from json import dumps
 from pathlib import Path
 from typing import Any
@@ -27,17 +28,7 @@ Change = Callable[[dict[str, Any]], None]
 
 
 def amend_document(folder: Path, change: Change) -> None:
-    """Change the content of `recording.json`, replacing the file completely or not at all.
-
-    Args:
-        folder: folder of the recording.
-        change: function that changes the content in place.
-
-    Raises:
-        InvalidRecordingError: the content cannot be read, or the change would break the format's
-            rules.
-        StorageError: the disk refuses.
-    """
+    """Change the content of `recording.json`, replacing the file completely or not at all."""
     document, violations = load_document(folder)
     if document is None:
         raise InvalidRecordingError(f"{folder}: {violations[0].message}")
@@ -56,20 +47,10 @@ def set_actions(
     actions: tuple[PickAndPlace, ...],
     *,
     provenance: Mapping[str, object],
-) -> None:
-    """Replace the pickers' paths and the actions of a recording.
+) -> Recording:
+    """Replace the pickers' paths and the actions of a recording, and add to its provenance.
 
     The old actions are removed first, so the recording never combines old actions with new paths.
-
-    Args:
-        recording: recording to change.
-        paths: path per picker name; they replace all existing paths.
-        actions: actions in order.
-        provenance: provenance entries to add.
-
-    Raises:
-        InvalidRecordingError: the change would break the format's rules.
-        StorageError: the disk refuses.
     """
 
     def without_actions(document: dict[str, Any]) -> None:
@@ -89,9 +70,17 @@ def set_actions(
         ]
         document.setdefault("provenance", {}).update(provenance)
 
-    amend_document(recording.folder, without_actions)
-    write_file(recording.folder / PICKER_FILE, picker_text(paths).encode())
-    amend_document(recording.folder, with_actions)
+    if not recording.in_memory:
+        amend_document(recording.folder, without_actions)
+        write_file(recording.folder / PICKER_FILE, picker_text(paths).encode())
+        amend_document(recording.folder, with_actions)
+    return replace(
+        recording,
+        picker_paths=paths,
+        actions=actions,
+        cloth=replace(recording.cloth, held_vertices={}, grasp_uncertainty_m=0.0),
+        provenance={**recording.provenance, **provenance},
+    )
 
 
 def set_masks(
@@ -101,68 +90,66 @@ def set_masks(
     *,
     color: str | None = None,
     provenance: Mapping[str, object],
-) -> int:
-    """Write masks for one camera, replacing existing ones.
-
-    Args:
-        recording: recording to change.
-        camera: name of the camera that the masks belong to.
-        mask_of: function that returns the cloth mask of a frame; None or empty where there is none.
-        color: name of the cloth's color to store, if any.
-        provenance: provenance entries to add.
-
-    Returns:
-        The number of masks written.
-
-    Raises:
-        InvalidRecordingError: the change would break the format's rules.
-        StorageError: the disk refuses.
-    """
-    folder, name = recording.folder, _free_name(recording.folder)
-    single = len(recording.cameras) == 1
-    files: dict[int, str] = {}
-    with atomic_folder(folder / name) as unfinished:
-        (unfinished if single else unfinished / camera).mkdir(exist_ok=True)
-        for frame in recording.frames:
-            mask = mask_of(frame)
-            if mask is not None and mask.any():
-                file = f"{frame.index:06d}.png" if single else f"{camera}/{frame.index:06d}.png"
+) -> Recording:
+    """Replace the masks of one camera, where `mask_of` gives one that is not empty."""
+    folder, single = recording.folder, len(recording.cameras) == 1
+    found = (
+        (frame.index, mask)
+        for frame in recording.frames
+        if (mask := mask_of(frame)) is not None and mask.any()
+    )
+    masks: dict[int, Path | Bool[np.ndarray, "height width"]] = {}
+    if recording.in_memory:
+        masks = dict(found)
+    else:
+        place = folder / _free_name(folder)
+        with atomic_folder(place) as unfinished:
+            inside = Path() if single else Path(camera)
+            (unfinished / inside).mkdir(exist_ok=True)
+            for index, mask in found:
+                file = inside / f"{index:06d}.png"
                 (unfinished / file).write_bytes(encode_png(mask.astype(np.uint8) * 255))
-                files[frame.index] = f"{name}/{file}"
+                masks[index] = place / file
+
+    def with_mask(frame: Frame) -> Frame:
+        others = {name: mask for name, mask in frame.mask.items() if name != camera}
+        new = {camera: masks[frame.index]} if frame.index in masks else {}
+        return replace(frame, mask={**others, **new})
+
+    changed = replace(
+        recording,
+        frames=tuple(map(with_mask, recording.frames)),
+        cloth=replace(recording.cloth, color=color or recording.cloth.color),
+        provenance={**recording.provenance, **provenance},
+    )
 
     def name_masks(document: dict[str, Any]) -> None:
-        for frame, entry in zip(recording.frames, document["frames"], strict=True):
+        for frame, entry in zip(changed.frames, document["frames"], strict=True):
             _name_files(entry, frame, folder, single=single)
-            masks = entry.pop("mask", {})
-            masks = {} if isinstance(masks, str) else {**masks}
-            masks.pop(camera, None)
-            if frame.index in files:
-                masks[camera] = files[frame.index]
-            if masks:
-                entry["mask"] = masks[camera] if single else masks
         if color is not None:
             document.setdefault("cloth", {})["color"] = color
         document.setdefault("provenance", {}).update(provenance)
 
-    amend_document(folder, name_masks)
-    replaced = {frame.mask[camera].parent for frame in recording.frames if camera in frame.mask}
-    for old in replaced - {folder}:
-        _remove_pictures(old, [frame.mask.get(camera) for frame in recording.frames])
-    return len(files)
+    if not recording.in_memory:
+        amend_document(folder, name_masks)
+        old = [frame.mask[camera] for frame in recording.frames if camera in frame.mask]
+        for parent in {path.parent for path in old} - {folder}:
+            _remove_pictures(parent, old)
+    return changed
 
 
 def _name_files(entry: dict[str, Any], frame: Frame, folder: Path, *, single: bool) -> None:
-    """List a frame's files explicitly if it relied on their conventional names."""
-    if entry.keys() & {*PICTURE_KINDS, "cloud"}:
-        return
-    for kind in PICTURE_KINDS:
+    """List a frame's masks, and the other files too if it relied on their conventional names."""
+    conventional = not entry.keys() & {*PICTURE_KINDS, "cloud"}
+    for kind in PICTURE_KINDS if conventional else ("mask",):
         files = {
             camera: path.relative_to(folder).as_posix()
             for camera, path in getattr(frame, kind).items()
         }
+        entry.pop(kind, None)
         if files:
             entry[kind] = next(iter(files.values())) if single else files
-    if frame.cloud is not None:
+    if conventional and frame.cloud is not None:
         entry["cloud"] = frame.cloud.relative_to(folder).as_posix()
 
 
@@ -174,11 +161,11 @@ def _free_name(folder: Path) -> str:
     )  # fmt: skip
 
 
-def _remove_pictures(folder: Path, paths: list[Path | None]) -> None:
+def _remove_pictures(folder: Path, paths: list[Path]) -> None:
     """Remove pictures that are no longer referenced, and their folder if it is then empty."""
     with storage(folder):
         for path in paths:
-            if path is not None and path.parent == folder:
+            if path.parent == folder:
                 path.unlink(missing_ok=True)
         if not any(folder.iterdir()):
             folder.rmdir()

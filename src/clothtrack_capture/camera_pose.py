@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +60,7 @@ class CameraPlacement:
 
 
 def camera_named(recording: Recording, name: str = "") -> Camera:
-    """Return the camera of a recording with this name; the first camera if the name is empty.
-
-    Raises:
-        InvalidConfigError: there is no such camera; the message lists the existing ones.
-    """
+    """Return the camera of a recording with this name; the first camera if the name is empty."""
     cameras = {camera.name: camera for camera in recording.cameras}
     if name and name not in cameras:
         raise InvalidConfigError(
@@ -74,17 +70,7 @@ def camera_named(recording: Recording, name: str = "") -> Camera:
 
 
 def place_by_table(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
-    """Return the camera pose in a world whose plane z = 0 is the table, from depth alone.
-
-    Args:
-        recording: recording with depth from the camera.
-        camera: camera to calibrate.
-        force: accept the fit even if the depth is far from any plane.
-
-    Raises:
-        InvalidRecordingError: no plane dominates the depth, or the depth is far from the plane
-            found and `force` is not set.
-    """
+    """Return the camera pose in a world whose plane z = 0 is the table, from depth alone."""
     fit = _plane_fit(recording, camera, force=force)
     pose = world_from_table(camera, fit)
     return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_report(fit)})
@@ -94,15 +80,6 @@ def table_in_world(recording: Recording, camera: Camera, *, force: bool = False)
     """Return the table in the recording's existing world, from depth.
 
     The camera pose stays unchanged.
-
-    Args:
-        recording: recording with depth from the camera and a correct camera pose.
-        camera: camera that sees the table.
-        force: accept the fit even if the depth is far from any plane.
-
-    Raises:
-        InvalidRecordingError: no plane dominates the depth, or the plane found does not face up, or
-            the depth is far from it and `force` is not set.
     """
     fit = _plane_fit(recording, camera, force=force)
     table = _plane_in(camera.world_from_camera, fit)
@@ -143,9 +120,7 @@ def placement_doubt(placement: CameraPlacement) -> str:
     return ""
 
 
-def place_by_board(
-    recording: Recording, camera: Camera, board: Board, *, thickness_m: float = 0.0
-) -> CameraPlacement:
+def place_by_board(recording: Recording, camera: Camera, board: Board) -> CameraPlacement:
     """Return the camera pose in a world defined by a board that lies on the table.
 
     The origin is on the table under the middle of the board. The x axis runs along the board's
@@ -155,10 +130,6 @@ def place_by_board(
         recording: recording with color pictures of the board.
         camera: camera to calibrate.
         board: the printed board.
-        thickness_m: height of the print above the table [m].
-
-    Raises:
-        InvalidRecordingError: there are no color pictures, or the board is not found in them.
     """
     frames = [frame for frame in recording.frames if camera.name in frame.color]
     if not frames:
@@ -169,7 +140,6 @@ def place_by_board(
     places = np.unique(np.linspace(0, len(frames) - 1, _BOARD_PICTURES).round().astype(int))
     seen = locate_board([read_color(frames[n].color[camera.name]) for n in places], board, camera)
     pose = np.linalg.inv(seen.camera_from_board)
-    pose[2, 3] += thickness_m
     text = {
         "by": "board",
         "corners": seen.corners,
@@ -194,16 +164,6 @@ def place_by_robot(
 
     The world is the robot's base frame. The table is found from depth if a plane dominates it. With
     the camera on the hand the placement is gripper_from_camera.
-
-    Args:
-        recording: recording of the camera that took the pictures.
-        camera: that camera.
-        board: the printed board.
-        poses: pictures and gripper poses.
-        camera_on_hand: whether the camera moves with the gripper and the board lies still.
-
-    Raises:
-        InvalidRecordingError: a picture cannot be read, or too few show the board.
     """
     pictures = [read_color(robot.picture) for robot in poses]
     for robot, picture in zip(poses, pictures, strict=True):
@@ -242,26 +202,19 @@ def place_by_robot(
 
 
 def save_placement(path: Path, placement: CameraPlacement) -> None:
-    """Write a placement as a JSON file, completely or not at all.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write a placement as a JSON file, completely or not at all."""
     write_file(path, (json.dumps(placement.as_dict(), indent=1) + "\n").encode())
 
 
-def place_camera(recording: Recording, placement: CameraPlacement, *, force: bool = False) -> None:
-    """Write a camera's placement into a recording and move the other cameras along with it.
+def place_camera(
+    recording: Recording, placement: CameraPlacement, *, force: bool = False
+) -> Recording:
+    """Return the recording with a camera placed, and the other cameras moved along with it.
 
     Args:
-        recording: recording to change.
+        recording: recording to change; it is written unless it is in memory.
         placement: pose of the camera; a table of None removes the recording's table.
         force: change the world even if other data are expressed in it; those data stay unchanged.
-
-    Raises:
-        InvalidRecordingError: other data are expressed in the present world, and `force` is not
-            set.
-        StorageError: the disk refuses.
     """
     camera = camera_named(recording, placement.camera)
     moved = not np.array_equal(camera.world_from_camera, placement.world_from_camera)
@@ -273,17 +226,22 @@ def place_camera(recording: Recording, placement: CameraPlacement, *, force: boo
             "calibrate before they are made, or, if they are in the new world already, use --force"
         )
     poses = moved_along(recording, camera, placement.world_from_camera)
+    fit = {"camera_placement": {"camera": placement.camera, **placement.fit}}
 
     def change(document: dict[str, Any]) -> None:
         for entry in document["cameras"]:
             entry["world_from_camera"] = poses[entry["name"]].tolist()
         document["table"] = placement.as_dict()["table"]
-        document.setdefault("provenance", {})["camera_placement"] = {
-            "camera": placement.camera,
-            **placement.fit,
-        }
+        document.setdefault("provenance", {}).update(fit)
 
-    amend_document(recording.folder, change)
+    if not recording.in_memory:
+        amend_document(recording.folder, change)
+    return replace(
+        recording,
+        cameras=tuple(replace(c, world_from_camera=poses[c.name]) for c in recording.cameras),
+        table=placement.table,
+        provenance={**recording.provenance, **fit},
+    )
 
 
 def _given_in_world(recording: Recording) -> list[str]:

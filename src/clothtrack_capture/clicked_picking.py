@@ -50,11 +50,7 @@ class ClickedPicking:
     """
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
-        """Check that the cloth in the recording can be told apart from a hand.
-
-        Raises:
-            InvalidRecordingError: it cannot, or there is no table, color or depth.
-        """
+        """Check that the cloth in the recording can be told apart from a hand."""
         self.views = ClothViews(recording, camera)
         self.times = np.array([frame.time_s for frame in recording.frames])
         self._clicks: list[Click] = []
@@ -67,12 +63,7 @@ class ClickedPicking:
         return tuple(self._clicks)
 
     def add(self, click: Click) -> None:
-        """Add the next click: a pick, or the place of the last pick.
-
-        Raises:
-            InvalidConfigError: there is no such frame or pixel, the click is not after the last
-                one, or there is no cloth at a pick.
-        """
+        """Add the next click: a pick, or the place of the last pick."""
         with self._lock:
             self.views.require(click)
             kind, last = ("place", "pick") if len(self._clicks) % 2 else ("pick", "last place")
@@ -103,19 +94,8 @@ class ClickedPicking:
                 for number in range(0, len(frames) - 1, 2)
             )
 
-    def keep(self, name: str) -> tuple[tuple[ClickedAction, PickAndPlace], ...]:
-        """Write path and actions into the recording, replacing existing ones.
-
-        Args:
-            name: name of the hand.
-
-        Returns:
-            Every action, as clicked and as written.
-
-        Raises:
-            InvalidConfigError: nothing was clicked, or the last pick has no place.
-            StorageError: the disk refuses; the recording stays valid.
-        """
+    def keep(self, name: str) -> Recording:
+        """Return the recording with the path of a hand, written unless it is in memory."""
         with self._lock:
             if not self._clicks or len(self._clicks) % 2:
                 what = "the last pick has no place" if self._clicks else "nothing is clicked yet"
@@ -126,13 +106,12 @@ class ClickedPicking:
                 {"pick": _row(each.pick), "place": _row(each.place), "seen": each.seen}
                 for each in clicked
             ]
-            set_actions(
+            return set_actions(
                 self.views.recording,
                 {name: self._path(clicked, spans)},
                 spans,
                 provenance={"picker_found": {"by": "clicks", "actions": text}},
             )
-            return tuple(zip(clicked, spans, strict=True))
 
     def summary(self, action: ClickedAction) -> dict[str, object]:
         """Return the frames of pick and release of an action, and its lift [mm], for a report."""

@@ -55,21 +55,13 @@ class ClothViews:
     """The frames of a recording as seen by one camera; the latest ones are cached."""
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
-        """Check that the cloth in the recording can be told apart from a hand.
-
-        Raises:
-            InvalidRecordingError: it cannot, or there is no table, color or depth.
-        """
+        """Check that the cloth in the recording can be told apart from a hand."""
         self.recording, self.camera = recording, camera
         self.table = _required_table(recording, camera)
         self.of = lru_cache(maxsize=_REMEMBERED)(self._seen_in)
 
     def require(self, click: Click) -> None:
-        """Refuse a click on a missing frame or outside the picture.
-
-        Raises:
-            InvalidConfigError: the click is refused.
-        """
+        """Refuse a click on a missing frame or outside the picture."""
         self._require_frame(click.frame)
         width, height = self.camera.width, self.camera.height
         if not (0 <= click.column < width and 0 <= click.row < height):
@@ -79,20 +71,12 @@ class ClothViews:
             )
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the color picture of a frame, red first.
-
-        Raises:
-            InvalidConfigError: there is no such frame.
-        """
+        """Return the color picture of a frame, red first."""
         self._require_frame(frame)
         return read_color(self.recording.frames[frame].color[self.camera.name])
 
     def mask(self, frame: int) -> Bool[np.ndarray, "height width"]:
-        """Return the mask of the cloth in a frame.
-
-        Raises:
-            InvalidConfigError: there is no such frame.
-        """
+        """Return the mask of the cloth in a frame."""
         self._require_frame(frame)
         return self._depth_and_mask(frame)[1]
 

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.csv_table import NUMBER, Column, filled, read_csv
 
@@ -60,6 +61,8 @@ class HandEye:
     board: Float[np.ndarray, "4 4"]
     errors_m: Float[np.ndarray, " poses"]
     errors_deg: Float[np.ndarray, " poses"]
+
+    __repr__ = short_repr
 
 
 def read_robot_poses(path: Path) -> list[RobotPose]:

@@ -20,6 +20,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import ClothTrackError, InvalidRecordingError, StorageError
 from clothtrack.files.atomic_write import storage
 from clothtrack.geometry.camera import Camera
@@ -51,6 +52,8 @@ class CapturedFrame:
     time_s: float
     color: UInt8[np.ndarray, "height width 3"] | None
     depth_m: Float[np.ndarray, "height width"]
+
+    __repr__ = short_repr
 
 
 @runtime_checkable
@@ -233,10 +236,6 @@ def salvage_capture(target: Path) -> Recording:
     """Make a recording of the frames that a finished or interrupted capture has written.
 
     Frames whose files are missing or incomplete are left out; usually these are the last ones.
-
-    Raises:
-        InvalidRecordingError: there is no capture of this name, or it has no complete frame.
-        StorageError: the disk refuses.
     """
     target, folder = Path(target), capture_folder(target)
     if not (folder / _JOURNAL).is_file():

@@ -54,15 +54,7 @@ def spread(frames: Sequence[int], count: int) -> list[int]:
 
 
 def write_mask_sheet(setup: SegmentationSetup, path: Path) -> Path:
-    """Write a contact sheet of masks from the whole recording as a PNG.
-
-    Args:
-        setup: source of the masks.
-        path: picture file to write.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write a contact sheet of masks from the whole recording as a PNG."""
     cells = []
     for index in spread([frame.index for frame in setup.frames], _COLUMNS * _ROWS):
         mask = setup.mask(index)

@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack_capture.segmentation_setup import SegmentationSetup
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import read_mask
+from clothtrack.recordings.recording import Recording
 
 NEIGHBORS = 5
 """Number of masks before and after a mask whose median area it is compared with."""
@@ -57,26 +59,21 @@ class MaskSummary:
         return asdict(self)
 
 
-def summary_of(setup: SegmentationSetup) -> MaskSummary:
-    """Count the masks of all frames.
-
-    Raises:
-        InvalidRecordingError: a picture cannot be read.
-    """
-    masks = [setup.mask(frame.index) for frame in setup.frames]
-    areas = np.array([0 if mask is None else int(mask.sum()) for mask in masks], float)
+def summary_of(recording: Recording, camera: Camera) -> MaskSummary:
+    """Count the masks of all frames with a color picture; at least one has a mask."""
+    frames = [frame for frame in recording.frames if camera.name in frame.color]
+    masks = [frame.mask.get(camera.name) for frame in frames]
+    areas = np.array([0 if mask is None else int(read_mask(mask).sum()) for mask in masks], float)
     filled = np.flatnonzero(areas > 0)
-    if not len(filled):
-        return MaskSummary(0, 0, 0.0, 0.0, setup.frames[0].index, _indices(setup, areas < 1))
-    shares = areas / (setup.camera.width * setup.camera.height)
+    shares = areas / (camera.width * camera.height)
     smallest = int(filled[np.argmin(areas[filled])])
     return MaskSummary(
         frames=len(filled),
         pixels=int(np.median(areas[filled])),
         least_share=float(shares[smallest]),
         most_share=float(shares.max()),
-        smallest_frame=setup.frames[smallest].index,
-        doubtful=_indices(setup, doubtful(areas)),
+        smallest_frame=frames[smallest].index,
+        doubtful=tuple(frames[place].index for place in np.flatnonzero(doubtful(areas))),
     )
 
 
@@ -85,7 +82,3 @@ def doubtful(areas: Float[np.ndarray, " frames"]) -> np.ndarray:
     padded = np.pad(areas, NEIGHBORS, mode="edge")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBORS + 1), axis=1)
     return (areas < 1) | (np.abs(areas - around) > _SUDDEN * around)
-
-
-def _indices(setup: SegmentationSetup, chosen: np.ndarray) -> tuple[int, ...]:
-    return tuple(frame.index for frame, one in zip(setup.frames, chosen, strict=True) if one)

@@ -112,11 +112,7 @@ def find_picker(
 def tip_members(
     recording: Recording, camera: Camera, tip: str | tuple[int, int, int] | None
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return the set of the tip's colors, from a color name or a click (frame, column, row).
-
-    Raises:
-        InvalidConfigError: the name is unknown, or the click misses the recording or the picture.
-    """
+    """Return the set of the tip's colors, from a color name or a click (frame, column, row)."""
     if not isinstance(tip, tuple):
         return tip_colors(tip or "")
     frame, column, row = tip
@@ -129,11 +125,7 @@ def tip_members(
 
 
 def require_unmeasured(recording: Recording, *, force: bool) -> None:
-    """Refuse to replace existing picker paths unless `force` is set.
-
-    Raises:
-        InvalidRecordingError: the recording has a picker path, and `force` is not set.
-    """
+    """Refuse to replace existing picker paths unless `force` is set."""
     if recording.picker_paths and not force:
         raise InvalidRecordingError(
             f"{recording.folder}: picker.csv holds the path of "
@@ -142,27 +134,21 @@ def require_unmeasured(recording: Recording, *, force: bool) -> None:
         )
 
 
-def keep_picker(
-    recording: Recording, detection: PickerDetection, name: str, tip: str
-) -> int | None:
-    """Write a detection into the recording, replacing its paths and actions.
-
-    Returns:
-        The template vertex taken by the first pick; None without a template or out of reach.
-
-    Raises:
-        InvalidRecordingError: no pick-and-place was found; nothing is written.
-        StorageError: the disk refuses.
-    """
+def keep_picker(recording: Recording, detection: PickerDetection, name: str, tip: str) -> Recording:
+    """Return the recording with what was detected, written unless it is in memory."""
     if not detection.actions:
         raise InvalidRecordingError(
             f"{recording.folder}: the tip is seen in {int(detection.seen.sum())} frames, but never "
             "picks and places: it must come down to the cloth, rise by 2 cm and come down again"
         )
     text = {"by": detection.by, "tip": tip, "seen": int(detection.seen.sum())}
-    set_actions(
+    return set_actions(
         recording, {name: detection.path}, detection.actions, provenance={"picker_found": text}
     )
+
+
+def first_pick_vertex(recording: Recording, detection: PickerDetection) -> int | None:
+    """Return the template's vertex that the first pick takes; None if there is none."""
     if recording.cloth.template is None:
         return None
     grasp = detection.path.position_at(recording.frames[detection.picks[0]].time_s)
@@ -174,11 +160,7 @@ def _watch_tip(
     camera: Camera,
     members: UInt8[np.ndarray, "32 32 32"],
 ) -> list[Tip | None]:
-    """Return the tip in every frame, or None where it is not seen.
-
-    Raises:
-        InvalidRecordingError: a frame lacks color or depth.
-    """
+    """Return the tip in every frame, or None where it is not seen."""
     for frame in recording.frames:
         if camera.name not in frame.color or camera.name not in frame.depth:
             raise InvalidRecordingError(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clothtrack.recordings.recording import PickAndPlace
+from clothtrack.recordings.recording import Recording
 from clothtrack.report.local_page import Answer, serve_until
 from clothtrack_capture.clicked_picking import ClickedAction, ClickedPicking
 from clothtrack_capture.cloth_views import Click
@@ -15,35 +15,22 @@ from clothtrack_capture.mask_pictures import jpeg, masked_picture
 
 LARGEST_WIDTH = 1920
 
-Kept = tuple[tuple[ClickedAction, PickAndPlace], ...]
-
 
 def pick_live(
     picking: ClickedPicking,
     name: str,
-    port: int | None = None,
     *,
     stop: threading.Event | None = None,
     opened: Callable[[str], None] | None = None,
-) -> Kept | None:
+) -> Recording | None:
     """Serve the page until the clicks are saved, `stop` is set or Ctrl-C is pressed.
 
-    Args:
-        picking: receiver of the clicks.
-        name: name of the hand.
-        port: port of the server; any free one by default.
-        stop: event that ends the server from outside.
-        opened: function called with the address.
-
     Returns:
-        The actions written into the recording; None if the page was left without saving.
-
-    Raises:
-        InvalidConfigError: the port is not available.
+        The recording with its actions; None if the page was left without saving.
     """
     stop = stop or threading.Event()
     page = _Page(picking, name, stop)
-    serve_until(stop, page.ask, page.tell, port, opened=opened)
+    serve_until(stop, page.ask, page.tell, opened=opened)
     return page.kept
 
 
@@ -52,7 +39,7 @@ class _Page:
 
     def __init__(self, picking: ClickedPicking, name: str, stop: threading.Event) -> None:
         self._picking, self._name, self._stop = picking, name, stop
-        self.kept: Kept | None = None
+        self.kept: Recording | None = None
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
         """Return the page, the clicks so far, or a frame with its mask if requested."""
@@ -82,7 +69,7 @@ class _Page:
             self.kept = self._picking.keep(self._name)
             # Stop with a delay, so that the page still receives this answer.
             threading.Timer(0.5, self._stop.set).start()
-            return Answer.of({"saved": len(self.kept)})
+            return Answer.of({"saved": len(self.kept.actions)})
         return None
 
     def _facts(self) -> dict[str, Any]:

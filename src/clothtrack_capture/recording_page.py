@@ -40,13 +40,7 @@ class Session:
     """A recording in progress: the camera, the writer, and the step of the protocol."""
 
     def __init__(self, source: DepthCamera, target: Path, provenance: Mapping[str, Any]) -> None:
-        """Prepare a recording; nothing is written before `start`.
-
-        Args:
-            source: camera to record from.
-            target: folder of the recording.
-            provenance: provenance entries, such as who records and with what.
-        """
+        """Prepare a recording; nothing is written before `start`."""
         self._source, self._target, self._provenance = source, target, provenance
         self._writer: CaptureWriter | None = None
         self._latest: CapturedFrame | None = None
@@ -58,11 +52,7 @@ class Session:
         self.done = False
 
     def start(self) -> None:
-        """Start writing with the first step.
-
-        Raises:
-            StorageError: the target exists, or the disk refuses.
-        """
+        """Start writing with the first step."""
         with self._lock:
             if self._writer is None:
                 self._writer = CaptureWriter(self._target, self._source, self._provenance)
@@ -92,12 +82,7 @@ class Session:
         self.ended = True
 
     def finish(self) -> Recording | None:
-        """Close the camera and make the recording; None if it was not started.
-
-        Raises:
-            StorageError: the disk refused.
-            InvalidRecordingError: no frame was recorded.
-        """
+        """Close the camera and make the recording; None if it was not started."""
         self._source.close()
         recording = None if self._writer is None else self._writer.finish()
         self.done = True
@@ -133,29 +118,18 @@ class Session:
 
 def record_live(
     session: Session,
-    port: int | None = None,
     *,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
     """Serve the page while the camera runs, until it is finished or Ctrl-C is pressed.
 
-    Args:
-        session: camera and target.
-        port: port of the server; any free one by default.
-        opened: function called with the address.
-
     Returns:
         The recording; None if the page was left before the start.
-
-    Raises:
-        InvalidConfigError: the port is not available.
-        StorageError: the disk refused.
-        InvalidRecordingError: no frame was recorded.
     """
     watching = threading.Thread(target=session.watch, daemon=True)
     page = _Page(session)
     try:
-        with serving(page.ask, page.tell, port) as address:
+        with serving(page.ask, page.tell) as address:
             logger.info("record at %s", address)
             watching.start()
             try:

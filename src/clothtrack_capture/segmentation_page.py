@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Any
 
+from clothtrack.recordings.recording import Recording
 from clothtrack.report.local_page import Answer, serve_until
 from clothtrack_capture.mask_pictures import jpeg, masked_picture, spread
 from clothtrack_capture.segmentation_setup import SegmentationSetup
@@ -15,28 +16,18 @@ LARGEST_WIDTH = 1920
 
 def segment_live(
     setup: SegmentationSetup,
-    port: int | None = None,
     *,
     stop: threading.Event | None = None,
     opened: Callable[[str], None] | None = None,
-) -> int | None:
+) -> Recording | None:
     """Serve the page until the masks are kept, `stop` is set or Ctrl-C is pressed.
 
-    Args:
-        setup: recording and its masks.
-        port: port of the server; any free one by default.
-        stop: event that ends the server from outside.
-        opened: function called with the address.
-
     Returns:
-        The number of masks written into the recording; None if the page was left without keeping.
-
-    Raises:
-        InvalidConfigError: the port is not available.
+        The recording with its masks; None if the page was left without keeping.
     """
     stop = stop or threading.Event()
     page = _Page(setup, stop)
-    serve_until(stop, page.ask, page.tell, port, opened=opened)
+    serve_until(stop, page.ask, page.tell, opened=opened)
     return page.kept
 
 
@@ -45,7 +36,7 @@ class _Page:
 
     def __init__(self, setup: SegmentationSetup, stop: threading.Event) -> None:
         self._setup, self._stop = setup, stop
-        self.kept: int | None = None
+        self.kept: Recording | None = None
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
         """Return the page, facts about the recording, or a frame with its mask."""
@@ -82,7 +73,8 @@ class _Page:
             self.kept = self._setup.keep()
             # Stop with a delay, so that the page still receives this answer.
             threading.Timer(0.5, self._stop.set).start()
-            return Answer.of({"kept": self.kept})
+            masks = sum(self._setup.camera.name in frame.mask for frame in self.kept.frames)
+            return Answer.of({"kept": masks})
         return None
 
     def _facts(self) -> dict[str, Any]:

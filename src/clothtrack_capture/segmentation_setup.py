@@ -96,8 +96,8 @@ class SegmentationSetup:
         with self._lock:
             return self._masks(frame)
 
-    def keep(self) -> int:
-        """Write the masks of all frames into the recording and return how many contain cloth.
+    def keep(self) -> Recording:
+        """Return the recording with the masks of all frames, written unless it is in memory.
 
         Raises:
             InvalidConfigError: nothing was chosen yet.

@@ -67,11 +67,7 @@ class Tip:
 
 
 def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return the set of colors that a name stands for.
-
-    Raises:
-        InvalidConfigError: the name is unknown.
-    """
+    """Return the set of colors that a name stands for."""
     if name.lower() not in NAMED_COLORS:
         raise InvalidConfigError(
             f"the tip's color is {name!r}; known names: {', '.join(NAMED_COLORS)}"
@@ -82,11 +78,7 @@ def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
 def clicked_colors(
     color: UInt8[np.ndarray, "height width 3"], column: int, row: int
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return the set of colors of the clicked patch.
-
-    Raises:
-        InvalidConfigError: the click is outside the picture, or the patch looks like the rest.
-    """
+    """Return the set of colors of the clicked patch."""
     return ColorSegmenter.from_click(color, column, row).members
 
 
@@ -280,9 +272,6 @@ def learned_finder(
         looks: color (red first) and depth [m] of pictures from the whole recording.
         members: rough set of the tip's colors.
         camera: camera that took the pictures.
-
-    Raises:
-        InvalidConfigError: much of every picture has the tip's color.
     """
     pictures = [color for color, _ in looks]
     members, background = _without_surroundings(pictures, members)

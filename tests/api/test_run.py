@@ -250,3 +250,21 @@ def test_labels_are_judged_with_the_segmenter_that_the_run_was_tracked_with(run)
 
     elsewhere = replace(run, segmenter=middle)
     assert elsewhere.labels[0].expected_error_mm > 2.0 * run.labels[0].expected_error_mm
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (lambda depth: np.zeros(depth.shape[::-1], bool), r"bool of shape \(320, 240\)"),
+        (lambda depth: np.zeros(depth.shape, np.uint8), r"uint8 of shape \(240, 320\)"),
+        (lambda depth: np.zeros((*depth.shape, 1), bool), r"bool of shape \(240, 320, 1\)"),
+        (lambda depth: None, r"object of shape \(1,\)"),
+    ],
+)
+def test_a_mask_that_is_none_is_refused_in_one_line(recording, given, told):
+    with pytest.raises(
+        ct.InvalidConfigError,
+        match=rf"frame 0: the segmenter gave {told} .* return bool of shape \(240, 320\)",
+    ) as refused:
+        ct.track(recording, mode="open_loop", segmenter=lambda c, depth, *_: given(depth))
+    assert "\n" not in str(refused.value)

@@ -87,8 +87,9 @@ def test_masks_are_replaced_as_a_whole(write, edit, tmp_path, named):
         mask[: frame.index] = True
         return mask
 
-    assert set_masks(recording, "top", mask_of, color="green", provenance={"by": "click"}) == 4
+    changed = set_masks(recording, "top", mask_of, color="green", provenance={"by": "click"})
     again = read_recording(tmp_path / "a")
+    assert changed.frames == again.frames
     assert not again.frames[0].mask
     for frame in again.frames[1:]:
         np.testing.assert_array_equal(read_mask(frame.mask["top"]), mask_of(frame))

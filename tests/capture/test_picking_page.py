@@ -158,7 +158,7 @@ def test_two_actions_are_clicked_in_a_browser_and_saved(folder, tmp_path):
         assert all(url.startswith((served.address, "data:", "file:")) for url in page.requests())
         # The refused click is the only thing that the browser complains about.
         assert [text for text in page.complaints() if "422" not in text] == []
-    assert len(served.kept) == 2
+    assert len(served.kept.actions) == 2
     assert len(ct.read_recording(folder).actions) == 2
 
 

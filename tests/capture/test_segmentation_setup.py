@@ -69,7 +69,7 @@ def test_every_frame_has_its_mask_at_once(recording, how):
 def test_what_is_kept_is_what_was_shown(recording, how):
     setup = SegmentationSetup(recording, recording.cameras[0])
     choose(setup, how)
-    assert setup.keep() == 5
+    setup.keep()
     again = read_recording(recording.folder)
     for frame in again.frames:
         np.testing.assert_array_equal(read_mask(frame.mask["top"]), setup.mask(frame.index))
@@ -80,7 +80,7 @@ def test_what_is_kept_is_what_was_shown(recording, how):
     second = SegmentationSetup(again, again.cameras[0])
     np.testing.assert_array_equal(second.mask(2), setup.mask(2))
     second.choose_click(4, (45, 60))
-    assert second.keep() == 5
+    second.keep()
     assert read_recording(recording.folder).provenance["masks_from"]["frame"] == 4
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -83,6 +84,72 @@ def test_actions_are_where_the_picker_is_closed_when_nobody_names_them(on_disk):
         assert all(inside)
 
 
+@pytest.fixture
+def unchecked(monkeypatch):
+    """Without the types that only tests check, as in a user's program."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+
+
+def saved_and_mapped(pictures, folder):
+    np.save(folder / "pictures.npy", np.stack(pictures))
+    return np.load(folder / "pictures.npy", mmap_mode="r")
+
+
+def read_only(pictures):
+    for picture in pictures:
+        picture.setflags(write=False)
+    return pictures
+
+
+LAYOUTS = {
+    "columns reversed": lambda some, _: [one[:, ::-1].copy()[:, ::-1] for one in some],
+    "channels reversed": lambda some, _: [one[..., ::-1].copy()[..., ::-1] for one in some],
+    "transposed": lambda some, _: [one.swapaxes(0, 1).copy().swapaxes(0, 1) for one in some],
+    "by columns": lambda some, _: np.asfortranarray(np.stack(some)),
+    "read-only": lambda some, _: read_only([one.copy() for one in some]),
+    "mapped from a file": saved_and_mapped,
+    "every second row": lambda some, _: [np.repeat(one, 2, axis=0)[::2] for one in some],
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+def test_strides_do_not_matter(on_disk, layout, tmp_path):
+    short = replace(on_disk, frames=on_disk.frames[:5], actions=None)
+    mask = [np.arange(240)[:, None] + np.zeros((1, 320)) > 100 for _ in short.frames]
+    plain = in_memory(short, mask=mask)
+    pictures = {
+        "color": [ct.read_color(frame.color["top"]) for frame in short.frames],
+        "depth": [ct.read_depth(frame.depth["top"], 0.001) for frame in short.frames],
+        "mask": mask,
+    }
+    places = {kind: tmp_path / kind for kind in pictures}
+    for place in places.values():
+        place.mkdir()
+    given = {kind: layout(some, places[kind]) for kind, some in pictures.items()}
+    recording = in_memory(short, **given)
+    assert recording_digest(recording) == recording_digest(plain)
+    assert ct.inspect_recording(recording).geometry == ct.inspect_recording(plain).geometry
+
+
+def test_a_path_and_a_table_may_be_lists(on_disk, unchecked):
+    path = on_disk.picker_paths["gripper"]
+    lists = (path.time_s.tolist(), path.positions.tolist(), path.closed.astype(int).tolist())
+    flat = ct.Table([0, 0, 0], [0, 0, 1])
+    found = in_memory(on_disk, picker={"gripper": ct.PickerPath(*lists)}, table=flat)
+    assert np.array_equal(found.picker_paths["gripper"].closed, path.closed)
+    assert recording_digest(found) == recording_digest(in_memory(on_disk))
+
+
+def picker(**changes):
+    known = {"time_s": np.array([0.0, 9.0]), "positions": np.zeros((2, 3))}
+    made = ct.PickerPath(**known | {"closed": np.array([True, False])} | changes)
+    return {"picker": made, "actions": None}
+
+
+def table(normal):
+    return {"table": ct.Table(np.zeros(3), np.array(normal, float))}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -97,8 +164,27 @@ def test_actions_are_where_the_picker_is_closed_when_nobody_names_them(on_disk):
         (lambda r: {"actions": [(0, 43)]}, "frames run from 0 to 42"),
         (lambda r: {"picker": None}, "path of picker 'gripper' does not cover"),
         (lambda r: {"picker": None, "actions": [(0, 5)]}, "path of picker 'picker'"),
+        (lambda r: {"depth": None}, "depth is a NoneType; give a list"),
+        (lambda r: {"color": np.zeros((43, 240, 320, 4), np.uint8)}, r"give \(240, 320, 3\)"),
+        (lambda r: {"color": np.zeros((43, 320, 240, 3), np.uint8)}, "color has shape"),
+        (lambda r: {"mask": np.zeros((43, 240, 320), float)}, "mask > 0"),
+        (lambda r: {"times_s": ["soon"] * 43}, "times_s is .* give N numbers"),
+        (lambda r: {"times_s": np.zeros((43, 2))}, r"times_s has shape \(43, 2\)"),
+        (lambda r: {"camera": {"fx": 300}}, "camera is a dict; give a ct.Camera"),
+        (lambda r: {"cloth": "towel"}, "cloth is a str; give a ct.ClothDescription"),
+        (lambda r: {"table": 0.5}, "table is a float; give a ct.Table"),
+        (lambda r: table([0, 0, 2]), "table.normal .* its length is 2"),
+        (lambda r: table([0, 1, 0]), "table.normal .* the world has y up"),
+        (lambda r: {"picker": [1, 2]}, "give a ct.PickerPath"),
+        (lambda r: picker(positions=np.zeros((3, 2))), r"positions has shape \(3, 2\); give 2 x 3"),
+        (lambda r: picker(closed=np.zeros(3, bool)), "closed has shape"),
+        (lambda r: picker(time_s=np.array([1.0, 0.5])), "sample 1 at 0.5 s"),
+        (lambda r: picker(positions=np.full((2, 3), np.nan)), "finite positions"),
+        (lambda r: {"actions": [("a", "b")]}, "give its first and last frame"),
+        (lambda r: {"actions": [3]}, "give its first and last frame"),
     ],
 )
-def test_arrays_that_do_not_belong_together_are_refused(on_disk, change, words):
-    with pytest.raises(ct.InvalidRecordingError, match=words):
+def test_arrays_that_do_not_belong_together_are_refused(on_disk, change, words, unchecked):
+    with pytest.raises(ct.InvalidRecordingError, match=words) as refused:
         in_memory(on_disk, **change(on_disk))
+    assert "\n" not in str(refused.value)

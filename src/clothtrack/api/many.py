@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clothtrack._shown import short_repr
 from clothtrack.api.options import Garment, Ray
 from clothtrack.api.results import Many
 from clothtrack.errors import InvalidConfigError
@@ -27,6 +28,8 @@ class Evaluations:
 
     each: "tuple[Evaluation, ...]"
     all_measures: bool = False
+
+    __repr__ = short_repr
 
     def text(self) -> str:
         """Return the measures as a table."""
@@ -54,6 +57,8 @@ class LabelFile:
     labels: Path
     frames: tuple[int, ...]
     rejected: int
+
+    __repr__ = short_repr
 
     def text(self) -> str:
         """Return one line."""

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from clothtrack._shown import short_repr
+
 Item = TypeVar("Item")
 
 
@@ -26,6 +28,8 @@ class Result:
     doubts: tuple[str, ...] = ()
     exit_code: int = 0
 
+    __repr__ = short_repr
+
     def text(self) -> str:
         """Return the text for a person."""
         return self.words
@@ -44,6 +48,8 @@ class Many(Generic[Item]):
     """
 
     each: tuple[Item, ...]
+
+    __repr__ = short_repr
 
     def __iter__(self) -> Iterator[Item]:
         """Iterate over the results."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack._shown import html_table, short_repr
 from clothtrack.errors import (
     ClothTrackError,
     InvalidConfigError,
@@ -54,18 +55,13 @@ class Label:
         vertex_bounds_m: the error that 90 % of the vertices stay under [m], for each vertex.
     """
 
-    def __repr__(self) -> str:
-        """Return one line, without the positions."""
-        return (
-            f"Label(action={self.action}, frame={self.frame}, "
-            f"expected_error_mm={self.expected_error_mm:.1f}, {len(self.positions)} vertices)"
-        )
-
     action: int
     frame: int
     positions: Float[np.ndarray, "vertices 3"]
     expected_error_mm: float
     vertex_errors_m: Float[np.ndarray, " vertices"]
+
+    __repr__ = short_repr
 
     @property
     def vertex_bounds_m(self) -> Float[np.ndarray, " vertices"]:
@@ -97,6 +93,19 @@ class Run(TrackedTrajectory):
     path: Path | None = field(default=None, init=False)
 
     __repr__ = TrackedTrajectory.__repr__
+
+    def _repr_html_(self) -> str:
+        frames, vertices = self.positions.shape[:2]
+        stored = Verdict.from_dict(self.verdict_fields) if self.verdict_fields else "not judged yet"
+        rows = {
+            "frames": f"{frames} in {self.time_s[-1] - self.time_s[0]:.2f} s",
+            "vertices": vertices,
+            "mode": self.config["mode"],
+            "verdict": stored,
+        }
+        for number, action in enumerate(self.actions):
+            rows[f"action {number}"] = f"frames {action.first_frame} to {action.last_frame}"
+        return html_table(f"Run {self.name}", rows)
 
     @classmethod
     def of(

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_evidence import LabelEvidence
 from clothtrack.evaluation.label_quality import LabelQuality, Misplaced, judge_labels
@@ -88,6 +89,8 @@ class Evaluation:
     rows: tuple[Row, ...]
     labels: tuple[LabelQuality, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         """Return a readable summary, one line per action."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 
@@ -28,10 +29,7 @@ class Truth:
     frames: Int[np.ndarray, " frames"]
     canonical: Float[np.ndarray, "vertices 3"] | None = None
 
-    def __repr__(self) -> str:
-        """Return one line, without the positions."""
-        frames, vertices = self.positions.shape[:2]
-        return f"Truth({frames} frames, {vertices} vertices)"
+    __repr__ = short_repr
 
     @classmethod
     def load(cls, path: Path | str) -> "Truth":

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from clothtrack._shown import html_table, short_repr
 from clothtrack.evaluation.label_quality import (
     LabelQuality,
     Misplaced,
@@ -125,9 +126,18 @@ class Verdict:
     expected_error_m: float
     evidence: tuple[Evidence, ...] = ()
 
+    __repr__ = short_repr
+
     def __str__(self) -> str:
         """Return the verdict in one readable line."""
         return f"{self.word}: {self.reason}"
+
+    def _repr_html_(self) -> str:
+        rows = {
+            f"{number}: {one.name}": f"{one.word}: {one.text}"
+            for number, one in enumerate(self.evidence, start=1)
+        }
+        return html_table(str(self), rows)
 
     @property
     def remedy(self) -> str:

@@ -76,7 +76,9 @@ def flat_fit(
         )
     if recording.table is None:
         raise InvalidRecordingError(
-            f"{recording.folder}: no table and no template; a cloth in the air needs cloth.template"
+            f"{recording.folder}: no table and no template; for a cloth on a table run clothtrack "
+            "calibrate-camera (in Python: calibrate_camera(recording) of clothtrack_capture, or "
+            "table=ct.Table(...)); a cloth in the air needs cloth.template"
         )
     if len(observation.points) < 100:
         raise InvalidRecordingError(

@@ -16,6 +16,7 @@ from clothtrack.recordings.segmentation import (
     HeightSegmenter,
     MaskFolder,
     Segmenter,
+    cloth_found_by,
     default_segmenter,
     main_components,
 )
@@ -53,17 +54,7 @@ def camera_views(
     *,
     color: bool = False,
 ) -> tuple[CameraView, ...]:
-    """Return the views of all cameras that have a depth picture of this frame.
-
-    Args:
-        recording: the recording.
-        frame: one of its frames.
-        segmenter: finds the cloth; by default masks, color hint or height (`default_segmenter`).
-        color: also read color pictures that the segmenter does not use.
-
-    Raises:
-        InvalidRecordingError: a picture cannot be read.
-    """
+    """Return the views of all cameras that have a depth picture of this frame."""
     views = []
     for camera in recording.cameras:
         if camera.name not in frame.depth:
@@ -72,7 +63,7 @@ def camera_views(
         find = segmenter or default_segmenter(recording, frame, camera)
         looks = camera.name in frame.color and (color or not isinstance(find, _COLOR_BLIND))
         picture = read_color(frame.color[camera.name]) if looks else None
-        mask = find(picture, depth_m, camera, recording.table)
+        mask = cloth_found_by(find, recording, frame, camera, color=picture, depth_m=depth_m)
         if not isinstance(find, _MAIN_PARTS_ONLY):
             mask = main_components(mask)
         blind = (depth_m == 0) | flying_pixels(depth_m, camera.fx)

@@ -43,14 +43,7 @@ def find_frames(
     camera_names: Sequence[str],
     violations: Violations,
 ) -> tuple[Frame, ...]:
-    """Return the frames of a document.
-
-    Args:
-        folder: the recording's folder, resolved.
-        entries: `frames` of the document, fulfilling the schema.
-        camera_names: every camera, in the document's order.
-        violations: gets what is wrong with the order of the frames or the names of their files.
-    """
+    """Return the frames of a document."""
     frames: list[Frame] = []
     for index, entry in enumerate(entries):
         field, time_s = f"frames[{index}]", entry["time_s"]

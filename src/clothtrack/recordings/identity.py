@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +26,7 @@ def recording_digest(recording: Recording) -> str:
 
     These are the document, the pickers' paths, the template, and all pictures and clouds. The
     location of the folder and its other files do not count. For a recording in memory, the same
-    content is hashed, array by array.
-
-    Raises:
-        StorageError: a file cannot be read.
+    content is hashed, array by array and file by file.
     """
     if recording.in_memory:
         return _digest_in_memory(recording)
@@ -52,7 +51,7 @@ def _digest_in_memory(recording: Recording) -> str:
     cloth, table, template = recording.cloth, recording.table, recording.cloth.template
     lines = [f"{name} {value}" for name, value in vars(cloth).items() if name in _PLAIN]
     lines += [f"{action}" for action in recording.actions]
-    arrays = [] if table is None else [table.point, table.normal]
+    arrays: list[Any] = [] if table is None else [table.point, table.normal]
     if template is not None:
         arrays += [template.vertices, template.faces]
         arrays += [] if template.canonical is None else [template.canonical]
@@ -66,4 +65,6 @@ def _digest_in_memory(recording: Recording) -> str:
     arrays.append(np.array([frame.time_s for frame in recording.frames]))
     for frame in recording.frames:
         arrays += [shown for kind in PICTURE_KINDS for shown in getattr(frame, kind).values()]
-    return hashlib.sha256("\n".join([*lines, *map(array_digest, arrays)]).encode()).hexdigest()
+        arrays += [frame.cloud] if frame.cloud is not None else []
+    lines += [content_hash(one) if isinstance(one, Path) else array_digest(one) for one in arrays]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

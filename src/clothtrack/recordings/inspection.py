@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import ClothTrackError
 from clothtrack.recordings.corrected_copy import write_corrected
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
@@ -42,6 +43,8 @@ class Inspection:
     geometry: tuple[Finding, ...] = ()
     corrections: tuple[Correction, ...] = ()
     corrected: Path | None = None
+
+    __repr__ = short_repr
 
     @property
     def valid(self) -> bool:

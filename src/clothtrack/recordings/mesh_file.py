@@ -22,11 +22,7 @@ _VERTEX_ERROR = "expected_error_m"
 
 
 def require_mesh_format(path: Path, suffixes: tuple[str, ...] = WRITTEN_SUFFIXES) -> None:
-    """Refuse a mesh file whose suffix is not among those written, or read.
-
-    Raises:
-        InvalidConfigError: another suffix; the message names the right ones.
-    """
+    """Refuse a mesh file whose suffix is not among those written, or read."""
     if path.suffix.lower() not in suffixes:
         choice = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}"
         raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose {choice}")
@@ -44,10 +40,6 @@ def write_mesh(
         path: path of the file.
         expected_error_m: expected error of each vertex [m]; only a PLY keeps it, as a property of
             its vertices.
-
-    Raises:
-        InvalidConfigError: no such format.
-        StorageError: when the disk refuses.
     """
     require_mesh_format(path)
     errors = (
@@ -64,11 +56,7 @@ def write_mesh(
 
 
 def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
-    """Return the expected error of each vertex [m] that a PLY keeps; None if there is none.
-
-    Raises:
-        InvalidMeshError: the file is missing or damaged.
-    """
+    """Return the expected error of each vertex [m] that a PLY keeps; None if there is none."""
     if path.suffix.lower() != ".ply":
         return None
     try:
@@ -86,10 +74,6 @@ def read_mesh(path: Path) -> ClothMesh:
     """Read a mesh [m] from an OBJ, PLY or STL file.
 
     STL has no shared vertices, so vertices at the same place are merged.
-
-    Raises:
-        InvalidConfigError: another suffix.
-        InvalidMeshError: the file is missing, damaged, or no cloth.
     """
     require_mesh_format(path, READ_SUFFIXES)
     if path.suffix.lower() == ".obj":

@@ -53,10 +53,6 @@ def even_picture(
     """Return the brightness of the cloth, normalized by its mean and deviation in a window.
 
     Lifted cloth turns dark or bright, but the pattern of its print or weave is kept.
-
-    Args:
-        gray: brightness.
-        cloth: pixels of the cloth; the others become uniform gray.
     """
     even = np.full(gray.shape, 128, np.uint8)
     rows, columns = np.flatnonzero(cloth.any(axis=1)), np.flatnonzero(cloth.any(axis=0))

@@ -27,12 +27,7 @@ COLUMNS = {
 
 
 def read_picker_paths(path: Path) -> dict[str, PickerPath]:
-    """Return the path per picker name, samples in order of time.
-
-    Raises:
-        InvalidRecordingError: a column is missing, a field is not what it should be, or the times
-            of a picker do not increase.
-    """
+    """Return the path per picker name, samples in order of time."""
     samples: dict[str, list[tuple[float, ...]]] = {}
     for place, (time, name, *sample) in read_csv(path, COLUMNS):
         earlier = samples.setdefault(name, [])

@@ -10,6 +10,7 @@ from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.camera_view import CameraView, camera_views, flying_pixels
@@ -47,6 +48,8 @@ class FollowedPoints:
     numbers: Int[np.ndarray, " followed"] = field(default_factory=lambda: np.zeros(0, np.int64))
     positions: Float[np.ndarray, "followed 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -71,6 +74,8 @@ class Observation:
     tool_positions: Float[np.ndarray, "tools 3"]
     tool_clearance_m: float
     followed: FollowedPoints = field(default_factory=FollowedPoints)
+
+    __repr__ = short_repr
 
     def unobservable(
         self, vertices: Float[np.ndarray, "vertices 3"]
@@ -127,9 +132,6 @@ def observation_of(
         frame: one of its frames.
         views: views of its cameras (`camera_views`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
-
-    Raises:
-        InvalidRecordingError: the cloud cannot be read, or no cloth is found.
     """
     clouds: list[Float[np.ndarray, "points 3"]] = []
     hidden: dict[str, Bool[np.ndarray, "height width"]] = {}

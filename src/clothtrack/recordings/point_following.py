@@ -74,14 +74,7 @@ class PointFollower:
     def __init__(
         self, recording: Recording, segmenter: Segmenter | None = None, *, kept: int | None = None
     ) -> None:
-        """Follow nothing yet.
-
-        Args:
-            recording: the recording; one of clouds has nothing to follow.
-            segmenter: finds the cloth; the recording's masks, color or height by default.
-            kept: number of newest frames whose points are kept; all by default. Older frames have
-                no points.
-        """
+        """Follow nothing yet."""
         self._recording, self._segmenter = recording, segmenter
         numbers = itertools.count()
         self._followers = {camera.name: _Follower(camera, numbers) for camera in recording.cameras}
@@ -93,15 +86,7 @@ class PointFollower:
         return frame.index < self._next
 
     def __call__(self, frame: Frame, views: Sequence[CameraView]) -> FollowedPoints:
-        """Return the points in a frame, after following them through the frames before it.
-
-        Args:
-            frame: a frame of the recording.
-            views: the views of the cameras, with colors if the frame is not known yet.
-
-        Raises:
-            InvalidRecordingError: a picture of an earlier frame cannot be read.
-        """
+        """Return the points in a frame, after following them through the frames before it."""
         for skipped in self._recording.frames[self._next : frame.index]:
             self._follow(
                 skipped, camera_views(self._recording, skipped, self._segmenter, color=True)
@@ -254,14 +239,7 @@ class _Follower:
         self._lost: list[_Lost] = []
 
     def follow(self, picture: _Picture, frame: int, *, choose: bool, ends: bool) -> FollowedPoints:
-        """Return the points in the next picture.
-
-        Args:
-            picture: the next picture; some may be missing in between.
-            frame: number of its frame.
-            choose: add new points where there are none.
-            ends: an action ends with it; search for all lost points.
-        """
+        """Return the points in the next picture."""
         if self._before is not None:
             self._carry(self._before, picture, frame)
         self._look_again(picture, None if choose or ends else frame)

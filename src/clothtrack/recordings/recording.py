@@ -5,12 +5,14 @@ Its pictures stay on disk, or in memory if a program passes them as arrays.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import index
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
+from clothtrack._shown import html_table, short_repr
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
@@ -24,7 +26,7 @@ WRITTEN_UNIT_M = 1e-4
 _TYPES = {
     "depth": (np.floating, "give float meters, millimeters times 0.001"),
     "color": (np.uint8, "give uint8, red first"),
-    "mask": (np.bool_, "give bool, True on the cloth"),
+    "mask": (np.bool_, "give bool, True on the cloth: mask > 0"),
 }
 """Required type of a picture in memory, and the remedy for another type."""
 
@@ -40,16 +42,21 @@ class Table:
     point: Float[np.ndarray, " 3"]
     normal: Float[np.ndarray, " 3"]
 
+    __repr__ = short_repr
+
     def heights(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
         """Return signed distance of points above the table [m]."""
         return (points - self.point) @ self.normal
 
 
 def not_up(normal: Float[np.ndarray, " 3"]) -> str:
-    """Return why a table's unit normal does not point up, and what to do; empty if it does.
+    """Return why this is no unit normal that points up, and what to do; empty if it is.
 
     A table within 30 degrees of vertical belongs to a world with another axis up.
     """
+    length = float(np.linalg.norm(normal))
+    if not abs(length - 1.0) < 1e-3:
+        return f"its length is {length:.4g}, not 1; divide it by its length"
     axis = int(np.argmax(np.abs(normal)))
     if axis != 2 and abs(normal[axis]) > np.cos(np.radians(30)):
         up, turned = {
@@ -86,6 +93,8 @@ class Frame:
     mask: Mapping[str, Path | Bool[np.ndarray, "_ _"]] = field(default_factory=dict)
     cloud: Path | Float[np.ndarray, "_ 3"] | None = None
 
+    __repr__ = short_repr
+
     @classmethod
     def of_arrays(
         cls,
@@ -105,14 +114,15 @@ class Frame:
             camera: the camera of all pictures.
             depth: (height, width) float, along the optical axis [m]; what is not positive and
                 finite was not measured. It is copied.
-            color: (height, width, 3) uint8, red first.
+            color: (height, width, 3) uint8, red first; any strides.
             mask: (height, width) bool, pixels of the cloth.
 
         Raises:
             InvalidRecordingError: a picture has a wrong size or type, or depth is not in meters.
         """
         name, given = camera.name, {"depth": depth, "color": color, "mask": mask}
-        shown = {kind: np.asarray(one) for kind, one in given.items() if one is not None}
+        # OpenCV and checksums need whole rows, which img[..., ::-1] and transposes do not have.
+        shown = {k: np.ascontiguousarray(one) for k, one in given.items() if one is not None}
         for kind, picture in shown.items():
             shape = (camera.height, camera.width, *((3,) if kind == "color" else ()))
             if picture.shape != shape:
@@ -123,7 +133,7 @@ class Frame:
             types, right = _TYPES[kind]
             if not np.issubdtype(picture.dtype, types):
                 raise InvalidRecordingError(f"frame {index}: {kind} is {picture.dtype}; {right}")
-        shown["depth"] = known = np.array(shown["depth"], np.float32)
+        shown["depth"] = known = np.array(shown["depth"], np.float32, order="C")
         known[~((known > 0.0) & (known < np.inf))] = 0.0
         return cls(index, float(time_s), **{kind: {name: one} for kind, one in shown.items()})
 
@@ -190,6 +200,8 @@ class PickerPath:
     positions: Float[np.ndarray, "samples 3"]
     closed: Bool[np.ndarray, " samples"]
 
+    __repr__ = short_repr
+
     def position_at(self, time_s: float) -> Float[np.ndarray, " 3"]:
         """Return the tip position [m], linear between samples, constant beyond the ends."""
         return np.array([np.interp(time_s, self.time_s, axis) for axis in self.positions.T])
@@ -233,6 +245,8 @@ class ClothDescription:
     template: ClothMesh | None = None
     held_vertices: Mapping[str, Int[np.ndarray, " held"]] = field(default_factory=dict)
     grasp_uncertainty_m: float = 0.0
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -283,8 +297,36 @@ class Recording:
 
     @property
     def in_memory(self) -> bool:
-        """Whether its pictures are arrays instead of files."""
-        return any(isinstance(each, np.ndarray) for each in self.frames[0].depth.values())
+        """Whether it is no folder's; its pictures are arrays, or files of another recording."""
+        return not self.folder.is_absolute()
+
+    def _facts(self) -> dict[str, object]:
+        frames = self.frames
+        seconds = frames[-1].time_s - frames[0].time_s if frames else 0.0
+        kinds = ("color", "depth", "mask", "cloud")
+        counts = {
+            kind: sum(
+                bool(f.cloud is not None if kind == "cloud" else getattr(f, kind)) for f in frames
+            )
+            for kind in kinds
+        }
+        return {
+            "frames": f"{len(frames)} in {seconds:.2f} s",
+            "pictures": ", ".join(f"{kind} {count}" for kind, count in counts.items() if count),
+            "cameras": ", ".join(f"{c.name} {c.width} x {c.height}" for c in self.cameras),
+            "actions": len(self.actions),
+            "pickers": ", ".join(self.picker_paths),
+            "table": self.table is not None,
+            "cloth": self.cloth.kind,
+        }
+
+    def __repr__(self) -> str:
+        """Return one line, without pictures and paths."""
+        facts = ", ".join(f"{name}={value!r}" for name, value in self._facts().items())
+        return f"Recording({self.name!r}, {facts})"
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Recording {self.name}", self._facts())
 
     @classmethod
     def from_arrays(
@@ -324,9 +366,22 @@ class Recording:
             InvalidRecordingError: arrays that do not belong together, depth in another unit, or an
                 action that no picker makes.
         """
-        times = np.asarray(times_s, np.float64)
-        streams = {"depth": depth, "color": color, "mask": mask}
-        for kind, pictures in streams.items():
+        for what, value, kind in (
+            ("camera", camera, Camera),
+            ("cloth", cloth or ClothDescription(), ClothDescription),
+            ("table", table or Table(np.zeros(3), np.eye(3)[2]), Table),
+        ):
+            if not isinstance(value, kind):
+                raise InvalidRecordingError(
+                    f"{name}: {what} is a {type(value).__name__}; give a ct.{kind.__name__}"
+                )
+        times = _numbers(f"{name}: times_s", times_s, (None,))
+        for kind, pictures in (("depth", depth), ("color", color), ("mask", mask)):
+            if not hasattr(pictures, "__len__") and (pictures is not None or kind == "depth"):
+                raise InvalidRecordingError(
+                    f"{name}: {kind} is a {type(pictures).__name__}; give a list of pictures, or "
+                    "one array of all"
+                )
             if pictures is not None and len(pictures) != len(times):
                 raise InvalidRecordingError(
                     f"{name}: {len(pictures)} pictures of {kind} for {len(times)} times; give one "
@@ -347,7 +402,8 @@ class Recording:
             for index, time in enumerate(times.tolist())
         )  # fmt: skip
         _require_meters(name, frames[0].depth[camera.name])
-        paths = {"picker": picker} if isinstance(picker, PickerPath) else dict(picker or {})
+        given = {"picker": picker} if isinstance(picker, PickerPath) else picker or {}
+        paths = {each: _checked_path(f"{name}: picker {each!r}", given[each]) for each in given}
         return cls(
             folder=Path(name),
             cameras=(camera,),
@@ -355,17 +411,58 @@ class Recording:
             frames=frames,
             actions=_checked_actions(name, actions, paths, times),
             picker_paths=paths,
-            table=table,
+            table=table and _checked_table(name, table),
             cloth=cloth or ClothDescription(),
         )
 
 
-def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
-    """Refuse depth that cannot be in meters.
+def _numbers(what: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Return numbers of this shape, in which None stands for any length, or refuse them by name."""
+    try:
+        array = np.asarray(value, np.float64)
+        is_right = len(array.shape) == len(shape) and all(
+            wanted in (None, given) for wanted, given in zip(shape, array.shape, strict=True)
+        )
+        found = f"has shape {array.shape}"
+    except (TypeError, ValueError):
+        array, is_right, found = np.empty(0), False, f"is {value!r:.60}"
+    if not is_right:
+        wanted = " x ".join("N" if size is None else str(size) for size in shape)
+        raise InvalidRecordingError(f"{what} {found}; give {wanted} numbers")
+    return array
 
-    Raises:
-        InvalidRecordingError: the depth is 0 everywhere, or its median is implausible.
-    """
+
+def _checked_path(what: str, path: Any) -> PickerPath:
+    """Return the path with arrays that belong together."""
+    if not isinstance(path, PickerPath):
+        raise InvalidRecordingError(f"{what} is a {type(path).__name__}; give a ct.PickerPath")
+    times = _numbers(f"{what}: time_s", path.time_s, (None,))
+    positions = _numbers(f"{what}: positions", path.positions, (len(times), 3))
+    closed = _numbers(f"{what}: closed", path.closed, (len(times),)) > 0
+    wrong = np.flatnonzero(
+        ~(np.diff(times, prepend=-np.inf) > 0) | ~np.isfinite(times + positions.sum(axis=1))
+    )
+    if len(wrong) or not len(times):
+        told = f"sample {wrong[0]} at {times[wrong[0]]} s" if len(wrong) else "no sample"
+        raise InvalidRecordingError(
+            f"{what}: {told}: give finite positions [m] in order of time [s]"
+        )
+    return PickerPath(times, positions, closed)
+
+
+def _checked_table(name: str, table: Table) -> Table:
+    """Return the table with a unit normal."""
+    point, normal = (
+        _numbers(f"{name}: table.{part}", getattr(table, part), (3,))
+        for part in ("point", "normal")
+    )
+    if words := not_up(normal):
+        raise InvalidRecordingError(f"{name}: table.normal is {normal.tolist()}: {words}")
+    return Table(point, normal / np.linalg.norm(normal))
+
+
+def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
+    """Refuse depth that cannot be in meters."""
     measured = depth_m[depth_m > 0]
     if not measured.size:
         raise InvalidRecordingError(f"{name}: the first depth picture is 0 everywhere")
@@ -380,16 +477,18 @@ def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
 def _checked_actions(
     name: str, actions: Any, paths: Mapping[str, PickerPath], times: Float[np.ndarray, " frames"]
 ) -> tuple[PickAndPlace, ...]:
-    """Return the given actions, or else those of the closures.
-
-    Raises:
-        InvalidRecordingError: frames that do not exist or follow each other, or no picker's path.
-    """
+    """Return the given actions, or else those of the closures."""
     if actions is None:
         return tuple(actions_of(paths, times.tolist())[0])
     checked: list[PickAndPlace] = []
     for each in actions:
-        one = each if isinstance(each, PickAndPlace) else PickAndPlace(*each, tuple(paths))
+        try:
+            one = each if isinstance(each, PickAndPlace) else PickAndPlace(*each, tuple(paths))
+            one = PickAndPlace(index(one.first_frame), index(one.last_frame), one.pickers)
+        except TypeError:
+            raise InvalidRecordingError(
+                f"{name}: an action is {each!r:.60}; give its first and last frame"
+            ) from None
         start = checked[-1].last_frame if checked else 0
         if not start <= one.first_frame < one.last_frame < len(times):
             raise InvalidRecordingError(

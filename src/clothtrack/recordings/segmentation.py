@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.colors import (
@@ -80,6 +81,8 @@ class ColorSegmenter:
     """
 
     members: UInt8[np.ndarray, "32 32 32"]
+
+    __repr__ = short_repr
 
     @classmethod
     def from_name(cls, name: str) -> "ColorSegmenter":
@@ -273,11 +276,7 @@ class HeightSegmenter:
         camera: Camera,
         table: Table | None,
     ) -> Bool[np.ndarray, "height width"]:
-        """Return the mask of the cloth: the largest raised part and parts nearly as large.
-
-        Raises:
-            InvalidRecordingError: there is no table.
-        """
+        """Return the mask of the cloth: the largest raised part and parts nearly as large."""
         if table is None:
             raise InvalidRecordingError(
                 f"camera {camera.name!r}: no height without a table; add the field table, "
@@ -301,11 +300,7 @@ class MaskFolder:
         camera: Camera,
         table: Table | None,  # noqa: ARG002
     ) -> Bool[np.ndarray, "height width"]:
-        """Return the mask as it stands in the file.
-
-        Raises:
-            InvalidRecordingError: the file is missing, damaged, empty or of another size.
-        """
+        """Return the mask as it stands in the file."""
         if camera.name not in self.files:
             raise InvalidRecordingError(f"camera {camera.name!r} has no mask; add its file")
         file = self.files[camera.name]
@@ -323,11 +318,7 @@ class MaskFolder:
 
 
 def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Segmenter:
-    """Return the default segmenter: by masks, else by the color hint, else by height.
-
-    Raises:
-        InvalidRecordingError: nothing in the recording distinguishes the cloth from the rest.
-    """
+    """Return the default segmenter: by masks, else by the color hint, else by height."""
     if camera.name in frame.mask:
         return MaskFolder(frame.mask)
     if recording.cloth.color is not None and camera.name in frame.color:
@@ -338,6 +329,26 @@ def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Seg
         f"{recording.folder}: nothing tells the cloth from the rest in frame {frame.index}, camera "
         f"{camera.name!r}; add mask/ files, or cloth.color (with color/ files), or the table"
     )
+
+
+def cloth_found_by(
+    find: Segmenter,
+    recording: Recording,
+    frame: Frame,
+    camera: Camera,
+    *,
+    color: UInt8[np.ndarray, "height width 3"] | None,
+    depth_m: Float[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:
+    """Return the mask that a segmenter gives for a frame, checked because it may be anybody's."""
+    mask = np.ascontiguousarray(find(color, depth_m, camera, recording.table))
+    if mask.shape != depth_m.shape or mask.dtype != bool:
+        raise InvalidConfigError(
+            f"{recording.folder}: frame {frame.index}: the segmenter gave {mask.dtype} of shape "
+            f"{mask.shape} for camera {camera.name!r}; return bool of shape {depth_m.shape}, True "
+            "on the cloth"
+        )
+    return mask
 
 
 def height_picture(

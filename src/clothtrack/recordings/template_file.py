@@ -27,14 +27,6 @@ def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
 
     Only `v` and `f` lines count. Vertices at the same place are refused instead of merged, because
     merging would renumber the vertices.
-
-    Args:
-        path: the OBJ file.
-        canonical: CSV file of one canonical coordinate (x_m, y_m, z_m) per vertex, in order.
-
-    Raises:
-        InvalidRecordingError: a file is missing or has text where a number belongs.
-        InvalidMeshError: the mesh cannot be a cloth.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
@@ -68,26 +60,13 @@ def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
 
 
 def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
-    """Return canonical coordinates [m] from a CSV file of x_m, y_m, z_m, one row per vertex.
-
-    Raises:
-        InvalidRecordingError: the file is missing, a column is, or a field is no number.
-    """
+    """Return canonical coordinates [m] from a CSV file of x_m, y_m, z_m, one row per vertex."""
     rows = [row for _, row in read_csv(path, _CANONICAL_COLUMNS)]
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
 def read_template(path: Path) -> ClothMesh:
-    """Return a template that `write_template` has written, or any OBJ mesh [m].
-
-    Args:
-        path: .npz; or .obj, with canonical coordinates in NAME_canonical.csv beside it, if any.
-
-    Raises:
-        InvalidRecordingError: a file is missing or damaged.
-        InvalidMeshError: the mesh cannot be a cloth.
-        InvalidConfigError: another suffix.
-    """
+    """Return a template that `write_template` has written, or any OBJ mesh [m]."""
     require_template_format(path)
     if path.suffix.lower() == ".obj":
         canonical = _canonical_path(path)
@@ -116,10 +95,6 @@ def write_template(mesh: ClothMesh, path: Path) -> None:
     Args:
         mesh: lying flat [m].
         path: .npz; or .obj, which gets NAME_canonical.csv beside it.
-
-    Raises:
-        InvalidConfigError: another suffix.
-        StorageError: when the disk refuses.
     """
     require_template_format(path)
     canonical = mesh.vertices if mesh.canonical is None else mesh.canonical
@@ -134,11 +109,7 @@ def write_template(mesh: ClothMesh, path: Path) -> None:
 
 
 def require_template_format(path: Path) -> None:
-    """Refuse a template file with another suffix than those of templates.
-
-    Raises:
-        InvalidConfigError: another suffix; the message names the right ones.
-    """
+    """Refuse a template file with another suffix than those of templates."""
     if path.suffix.lower() not in _TEMPLATE_SUFFIXES:
         raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; a template is .npz or .obj")
 

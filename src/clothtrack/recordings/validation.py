@@ -44,12 +44,7 @@ class CheckedRecording:
 
 
 def check_recording(folder: Path, *, thorough: bool = False) -> CheckedRecording:
-    """Read a recording and collect everything that is wrong with it.
-
-    Args:
-        folder: the recording's folder.
-        thorough: decode every picture instead of headers, masks and first depths (slower).
-    """
+    """Read a recording and collect everything that is wrong with it."""
     folder = folder.resolve()
     document, violations = load_document(folder)
     if document is None:
@@ -151,14 +146,10 @@ class _Check:
         if entry is None:
             return None
         normal = np.array(entry["normal"], dtype=np.float64)
-        length = float(np.linalg.norm(normal))
-        words = not_up(normal)
-        if not abs(length - 1.0) < 1e-3:
-            words = f"its length is {length:.4g}, not 1; divide it by its length"
-        if words:
+        if words := not_up(normal):
             self.violations.add("table.normal", shown(entry["normal"]), words)
             return None
-        return Table(np.array(entry["point"], dtype=np.float64), normal / length)
+        return Table(np.array(entry["point"], dtype=np.float64), normal / np.linalg.norm(normal))
 
     def _picker_paths(self, cameras: list[Camera]) -> dict[str, PickerPath] | None:
         """Return the path per picker; None where they cannot be read."""

@@ -44,14 +44,7 @@ class Violations(list[Violation]):
     """Everything that is wrong with a recording, in the order in which it is found."""
 
     def add(self, field: str, value: str, words: str, *, file: str = DOCUMENT) -> None:
-        """Add a violation.
-
-        Args:
-            field: as in `Violation`.
-            value: as in `Violation`.
-            words: "problem; remedy".
-            file: path inside the recording.
-        """
+        """Add a violation."""
         problem, _, remedy = words.rpartition("; ")
         self.append(Violation(file, field, value, problem, remedy))
 

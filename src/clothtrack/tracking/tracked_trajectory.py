@@ -14,6 +14,7 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int
 
+from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidMeshError, InvalidResultError
 from clothtrack.files.atomic_write import atomic_folder, name_problem
 from clothtrack.files.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
@@ -59,6 +60,8 @@ class Calibration:
     judge: str = "open_loop"
     spread_m: Float[np.ndarray, " vertices"] = field(default_factory=lambda: np.zeros(0))
 
+    __repr__ = short_repr
+
     @classmethod
     def none(cls) -> "Calibration":
         """Return the record of an action without a search."""
@@ -89,6 +92,8 @@ class TrackedAction:
     calibration: Calibration
     held_vertices: Mapping[str, tuple[int, ...]]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class StepRecords:
@@ -115,6 +120,8 @@ class StepRecords:
     predict_s: Float[np.ndarray, " frames"]
     align_s: Float[np.ndarray, " frames"]
     correct_s: Float[np.ndarray, " frames"]
+
+    __repr__ = short_repr
 
     @classmethod
     def empty(cls, frame_count: int) -> "StepRecords":

@@ -20,7 +20,7 @@ Charuco = Annotated[
 
 
 def calibrate_camera(
-    recording: Path | str,
+    recording: "Recording | Path | str",
     *,
     charuco: Charuco = None,
     robot_poses: Path | str | None = None,
@@ -30,11 +30,11 @@ def calibrate_camera(
     dictionary: str = "4X4_50",
     output: Path | str | None = None,
     force: bool = False,
-) -> Result:
+) -> "Recording | Result":
     """Find the table and set the world on it, with z up and the table at z = 0.
 
-    The result is written to the recording. With --robot-poses the world is the robot's base, and
-    its gripper holds the board.
+    The result is written to the recording; of a `Recording`, a new one is returned instead. With
+    --robot-poses the world is the robot's base, and its gripper holds the board.
 
     Args:
         recording: folder with a recording.json.
@@ -55,22 +55,41 @@ def calibrate_camera(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: no table or board is found.
     """
-    from clothtrack.recordings.store import read_recording
+    from clothtrack_capture.api.given import opened_recording, place_of, reported
     from clothtrack_capture.board import Board
-    from clothtrack_capture.camera_pose import camera_named
+    from clothtrack_capture.camera_pose import (
+        camera_named,
+        place_camera,
+        placement_doubt,
+        save_placement,
+    )
 
     _refuse_contradictions(
         robot_poses=robot_poses, charuco=charuco, camera_on_hand=camera_on_hand,
         keep_world=keep_world, output=output,
     )  # fmt: skip
-    folder = Path(recording)
-    source = read_recording(folder)
+    source = opened_recording(recording)
     board = None if charuco is None else Board(*charuco, dictionary=dictionary)
     placement = _placement(
         source, camera_named(source, camera), board, robot_poses,
         camera_on_hand=camera_on_hand, keep_world=keep_world, force=force,
     )  # fmt: skip
-    return _placed(folder, placement, output and Path(output), force=force)
+    changed = source
+    if output is None:
+        changed = place_camera(source, placement, force=force)
+    else:
+        save_placement(Path(output), placement)
+    place = place_of(recording)
+    lines = [line for name, value in placement.fit.items() for line in _lines(name, value)]
+    if output or not source.in_memory:
+        lines.append(f"written to             {output or place / 'recording.json'}")
+    doubt = placement_doubt(placement)
+    doubts = (
+        f"{place}: {doubt}: is the plane found the table? Let a bare table fill the picture, or "
+        "give a board with --charuco",
+    )
+    result = Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
+    return reported(recording, changed, result)
 
 
 def _refuse_contradictions(
@@ -116,27 +135,6 @@ def _placement(
         return place_by_board(source, camera, board)
     poses = read_robot_poses(Path(robot_poses))
     return place_by_robot(source, camera, board, poses, camera_on_hand=camera_on_hand)[0]
-
-
-def _placed(
-    folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool
-) -> Result:
-    """Save a placement to the requested place and report it."""
-    from clothtrack.recordings.store import read_recording
-    from clothtrack_capture.camera_pose import place_camera, placement_doubt, save_placement
-
-    if output is not None:
-        save_placement(output, placement)
-    else:
-        place_camera(read_recording(folder), placement, force=force)
-    lines = [line for name, value in placement.fit.items() for line in _lines(name, value)]
-    lines.append(f"written to             {output or folder / 'recording.json'}")
-    doubt = placement_doubt(placement)
-    doubts = (
-        f"{folder}: {doubt}: is the plane found the table? Let a bare table fill the picture, "
-        "or give a board with --charuco",
-    )
-    return Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
 
 
 def _lines(name: str, value: Any) -> list[str]:

@@ -18,7 +18,7 @@ Clicks = Annotated[Sequence[Place], arg(metavar="FRAME COLUMN ROW"), UseAppendAc
 
 
 def find_picker(
-    recording: Path | str,
+    recording: "Recording | Path | str",
     *,
     tip_color: str = "",
     tip_click: Annotated[Place | None, arg(metavar="FRAME COLUMN ROW")] = None,
@@ -28,8 +28,10 @@ def find_picker(
     camera: str = "",
     force: bool = False,
     opened: "Callable[[str], None] | None" = None,
-) -> Result:
+) -> "Recording | Result":
     """Find pick-and-places of a colored tip automatically, or of a bare hand from clicks.
+
+    Of a `Recording`, nothing is written; a new one with path and actions is returned.
 
     Args:
         recording: folder with a recording.json that has a table (see calibrate-camera).
@@ -46,7 +48,7 @@ def find_picker(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: the recording has no table, or nothing is found.
     """
-    from clothtrack.recordings.store import read_recording
+    from clothtrack_capture.api.given import opened_recording, place_of, reported
     from clothtrack_capture.camera_pose import camera_named
     from clothtrack_capture.picker_detection import require_unmeasured
 
@@ -60,22 +62,30 @@ def find_picker(
         raise WrongUsageError(
             f"there are {len(pick)} --pick and {len(place)} --place; give one for the other"
         )
-    source = read_recording(recording)
+    source = opened_recording(recording)
     chosen = camera_named(source, camera)
     require_unmeasured(source, force=force)
     if clicked:
-        return _by_hand(source, chosen, (pick, place), opened)
-    return _by_tip(source, chosen, tip_color or tip_click)
+        changed, lines, report = _by_hand(source, chosen, (pick, place), opened)
+    else:
+        changed, lines, report = _by_tip(source, chosen, tip_color or tip_click)
+    if changed is not source and not source.in_memory:
+        folder = place_of(recording)
+        lines.append(f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}")
+    return reported(recording, changed, Result("\n".join(lines), report))
 
 
-def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -> Result:
-    """Find picks and places of a colored tip."""
+def _by_tip(
+    recording: "Recording", camera: "Camera", tip: str | Place | None
+) -> "tuple[Recording, list[str], dict[str, Any]]":
+    """Return the recording with picks and places of a colored tip, in words and in numbers."""
     from clothtrack_capture.picker_detection import find_picker as find
-    from clothtrack_capture.picker_detection import keep_picker, tip_members
+    from clothtrack_capture.picker_detection import first_pick_vertex, keep_picker, tip_members
 
     name = "tip"
     picker = find(recording, camera, tip_members(recording, camera, tip), name=name)
-    vertex = keep_picker(recording, picker, name, tip if isinstance(tip, str) else "clicked")
+    changed = keep_picker(recording, picker, name, tip if isinstance(tip, str) else "clicked")
+    vertex = first_pick_vertex(recording, picker)
     report: dict[str, Any] = {
         "picker": name,
         "seen": int(picker.seen.sum()),
@@ -98,9 +108,8 @@ def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -
             for number, action in enumerate(report["actions"], start=1)
         ),
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
-        _written(recording.folder),
     ]
-    return Result("\n".join(lines), report)
+    return changed, lines, report
 
 
 def _by_hand(
@@ -108,8 +117,8 @@ def _by_hand(
     camera: "Camera",
     clicks: tuple[Sequence[Place], Sequence[Place]],
     opened: Callable[[str], None] | None,
-) -> Result:
-    """Find picks and places from clicks that are given or made on a page."""
+) -> "tuple[Recording, list[str], dict[str, Any]]":
+    """Return the recording with picks and places from clicks, given or made on a page."""
     from clothtrack_capture.clicked_picking import ClickedPicking
     from clothtrack_capture.cloth_views import Click
 
@@ -123,12 +132,12 @@ def _by_hand(
     else:
         from clothtrack_capture.picking_page import pick_live
 
-        kept = pick_live(picking, name, None, opened=opened)
+        kept = pick_live(picking, name, opened=opened)
     if kept is None:
-        return Result("nothing was saved", {"picker": name, "actions": []})
+        return recording, ["nothing was saved"], {"picker": name, "actions": []}
     rows = [
         {"first_frame": span.first_frame, "last_frame": span.last_frame, **picking.summary(action)}
-        for action, span in kept
+        for action, span in zip(picking.actions(), kept.actions, strict=True)
     ]
     lines = [
         f"action {number}: frames {row['first_frame']} to {row['last_frame']}, picks in "
@@ -136,11 +145,4 @@ def _by_hand(
         + ("" if row["seen"] else " (as clicked: the cloth's rise was not seen)")
         for number, row in enumerate(rows, start=1)
     ]
-    return Result(
-        "\n".join([*lines, _written(recording.folder)]), {"picker": name, "actions": rows}
-    )
-
-
-def _written(folder: Path) -> str:
-    """Return a message that says where a picker's path was written."""
-    return f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}"
+    return kept, lines, {"picker": name, "actions": rows}

@@ -58,7 +58,7 @@ def record(
                 session.watch(seconds)
             recording = session.finish()
         else:
-            recording = record_live(session, None, opened=opened)
+            recording = record_live(session, opened=opened)
     if recording is None:
         nothing = "left before the start; nothing was recorded"
         return Result("", {"recording": output, "frames": 0}, (nothing,))

@@ -28,7 +28,12 @@ from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import cloth_measured, observe
 from clothtrack.recordings.recording import Frame, Recording
-from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
+from clothtrack.recordings.segmentation import (
+    Segmenter,
+    cloth_found_by,
+    default_segmenter,
+    main_components,
+)
 
 FORMAT = "clothtrack-pseudo-labels"
 FORMAT_VERSION = 1
@@ -142,7 +147,8 @@ def cloth_picture(
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
     find = segmenter or default_segmenter(recording, frame, camera)
-    mask = main_components(find(color, depth, camera, recording.table))
+    mask = cloth_found_by(find, recording, frame, camera, color=color, depth_m=depth)
+    mask = main_components(mask)
     return depth, cloth_measured(depth, mask, camera), camera
 
 
