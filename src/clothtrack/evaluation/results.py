@@ -24,7 +24,7 @@ from clothtrack.evaluation.metrics import (
 )
 from clothtrack.evaluation.naming import Where, true_places
 from clothtrack.evaluation.truth import Truth, material_points
-from clothtrack.evaluation.verdict import verdict
+from clothtrack.evaluation.verdict import LIMITS, Verdict, verdict_of
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
@@ -81,12 +81,14 @@ class Evaluation:
         rows: measures per action, before and after the final alignment.
         labels: quality of the mesh after the final alignment, per action; estimated from the
             observation without the truth.
+        verdicts: the verdict on each of these labels.
         provenance: commit, configuration hash, versions, seed and device of the tracking run.
     """
 
     name: str
     rows: tuple[Row, ...]
     labels: tuple[LabelQuality, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -147,7 +149,9 @@ def evaluate(
             )
             rows.append(row)
     labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
-    return Evaluation(tracked.name, tuple(rows), labels, tracked.provenance)
+    whole = verdict_of(tracked, recording, labels, segmenter=segmenter, device=device)
+    verdicts = tuple(whole.of_label(one.action) for one in labels)
+    return Evaluation(tracked.name, tuple(rows), labels, verdicts, tracked.provenance)
 
 
 def observed_chamfer(
@@ -257,7 +261,8 @@ def as_json(evaluations: Sequence[Evaluation]) -> str:
 
 def as_plain(evaluation: Evaluation) -> dict[str, Any]:
     """Return an evaluation as plain JSON values, with a verdict on every label."""
-    verdicts = [{"action": one.action, **verdict(one).as_dict()} for one in evaluation.labels]
+    judged = zip(evaluation.labels, evaluation.verdicts, strict=True)
+    verdicts = [{"action": one.action, **found.as_dict()} for one, found in judged]
     numbers = tuple(
         replace(one, evidence=replace(one.evidence, misfit=None)) for one in evaluation.labels
     )
@@ -292,7 +297,8 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
         )
         for one in document["labels"]
     ]
-    return Evaluation(document["name"], tuple(rows), tuple(labels), document["provenance"])
+    verdicts = tuple(Verdict.from_dict(one) for one in document["verdicts"])
+    return Evaluation(document["name"], tuple(rows), tuple(labels), verdicts, document["provenance"])
 
 
 def summary(evaluations: Iterable[Evaluation]) -> str:
@@ -303,7 +309,8 @@ def summary(evaluations: Iterable[Evaluation]) -> str:
     ]
     reasons = []
     for evaluation in evaluations:
-        judged = {one.action: verdict(one) for one in evaluation.labels}
+        actions = (one.action for one in evaluation.labels)
+        judged = dict(zip(actions, evaluation.verdicts, strict=True))
         for row in evaluation.rows:
             if row.stage != "after_final_alignment":
                 continue
@@ -334,8 +341,9 @@ _EXCHANGED = (
 
 _SUMMARY_LEGEND = (
     "[mm] distance: mesh to cloud; floor: that of a right mesh; expected: error of a\n"
-    "vertex, judged without truth; true: with it. trust: use the label; look: see it\n"
-    "first; reject: leave it out. --all shows every measure."
+    "vertex, judged without truth; true: with it. trust: use the label, expected is\n"
+    f"at most {1e3 * LIMITS['expected error'].look:g} and nothing speaks against it; look: see it "
+    "first; reject: leave\nit out. --all shows every measure."
 )
 
 
