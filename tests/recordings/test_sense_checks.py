@@ -28,6 +28,7 @@ from clothtrack.recordings.geometry_checks.small_pictures import small_pictures
 from clothtrack.recordings.geometry_checks.template_checks import size_findings, template_findings
 from clothtrack.recordings.geometry_checks.tip_checks import hand_findings, motion_findings
 from clothtrack.recordings.inspection import inspect
+from clothtrack.recordings.pictures import read_color, read_depth, read_mask
 from clothtrack.recordings.recording import ClothDescription, PickAndPlace, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -304,7 +305,11 @@ def test_a_clock_that_jumps_is_named_whatever_the_tip_does(film, at, severity):
     assert (jump.kind, jump.severity) == ("clock_jump", severity)
     assert jump.measured == pytest.approx(day_s + 0.1)
     assert jump.limit == pytest.approx(10.0)
-    for words in (f"frame {at - 1} to frame {at} ", "subtract 86400 from", f"beyond frame {at - 1}"):
+    for words in (
+        f"frame {at - 1} to frame {at} ",
+        "subtract 86400 from",
+        f"beyond frame {at - 1}",
+    ):
         assert words in jump.text
 
 
@@ -441,8 +446,6 @@ def lying(folder, k1):
 
 def rewritten(film, folder, change):
     """A copy whose pictures a function changed: (frame number, kind, picture)."""
-    from clothtrack.recordings.pictures import read_color, read_depth, read_mask
-
     with RecordingWriter(
         folder, film.cameras, film.depth_units_m, table=film.table, cloth=film.cloth
     ) as writer:
