@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.errors import InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_evidence import LabelEvidence
 from clothtrack.evaluation.label_quality import LabelQuality, Misplaced, judge_labels
 from clothtrack.evaluation.metrics import (
@@ -25,12 +25,12 @@ from clothtrack.evaluation.metrics import (
 from clothtrack.evaluation.naming import Where, true_places
 from clothtrack.evaluation.truth import Truth, material_points
 from clothtrack.evaluation.verdict import LIMITS, Verdict, verdict_of
+from clothtrack.files.settings import from_plain as from_stored
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.simulation.parameters import SolverConfig
-from clothtrack.tracking.configuration import MODES
+from clothtrack.tracking.configuration import MODES, RunConfig
 from clothtrack.tracking.tracked_trajectory import TrackedAction, TrackedTrajectory
 
 Stage = Literal["before_final_alignment", "after_final_alignment"]
@@ -172,15 +172,21 @@ def observed_chamfer(
     return chamfer_pc(vertices, seen & ~observation.unobservable(vertices), observation.points)
 
 
-def method_name(config: Mapping[str, Any]) -> str:
-    """Return the named mode that matches a stored run, except for seed and first mesh."""
+def method_name(config: RunConfig) -> str:
+    """Return the named mode that matches a run, except for seed, first mesh and cloud spacing."""
+    own = {name: getattr(config, name) for name in ("seed", "initial_state", "cloud_spacing_m")}
+    return next((name for name, one in MODES.items() if replace(one, **own) == config), "custom")
 
-    def method(settings: Mapping[str, Any]) -> str:
-        own = {key: settings.get(key) for key in ("mode", "color", "cloth", "search", "objective")}
-        return json.dumps(own, sort_keys=True, default=str)
 
-    names = (name for name, mode in MODES.items() if method(asdict(mode)) == method(config))
-    return next(names, "custom")
+def _settings(tracked: TrackedTrajectory) -> RunConfig:
+    """Return the settings of a run; the default ones if none are stored."""
+    try:
+        return from_stored(RunConfig(), tracked.config) if tracked.config else RunConfig()
+    except InvalidConfigError as error:
+        raise InvalidResultError(
+            f"{tracked.name}: its settings are of another version ({error}); track the recording "
+            "again"
+        ) from error
 
 
 def _reference(
@@ -229,10 +235,10 @@ def _row(
     surface = float("nan")
     if reference.surface is not None:
         surface = chamfer_surface((vertices, faces), reference.surface, seed=seed)
-    number, stage = which
+    (number, stage), config = which, _settings(tracked)
     return Row(
         recording=tracked.name,
-        method=method_name(tracked.config),
+        method=method_name(config),
         action=number,
         frame=tracked.actions[number].last_frame,
         stage=stage,
@@ -243,15 +249,12 @@ def _row(
         chamfer_surface=surface,
         vertex_error_mm=errors,
         cloth=cloth_measures(
-            tracked.mesh, vertices, recording.table, rest_height_m=_rest_height_m(tracked.config)
+            tracked.mesh,
+            vertices,
+            recording.table,
+            rest_height_m=0.5 * config.cloth.thickness_m,
         ),
     )
-
-
-def _rest_height_m(config: Mapping[str, Any]) -> float:
-    """Return the resting height of the tracked mid-surface [m], half the thickness."""
-    solver = config.get("tracker", {}).get("solver", {})
-    return 0.5 * float(solver.get("thickness_m", SolverConfig().thickness_m))
 
 
 def as_json(evaluations: Sequence[Evaluation]) -> str:
@@ -290,7 +293,7 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
         LabelQuality(
             **{
                 **numbers(one),
-                "evidence": LabelEvidence(**numbers(one["evidence"])),
+                "evidence": LabelEvidence(**numbers(one["evidence"]) | {"misfit": None}),
                 "misplaced": Misplaced(**one.get("misplaced", {})),
                 "idle_pickers": tuple(one.get("idle_pickers", ())),
             }
