@@ -120,7 +120,7 @@ def test_a_verdict_is_the_same_after_json():
         assert str(again) == str(found)
 
 
-def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, turns=0.01, given=()):
+def picture(*, iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, turns=0.01, given=()):
     """The verdict of a mesh whose longer side is 0.4 m."""
     mesh = garment("towel", vertex_count=60, size_m=(0.4, 0.2))
     sure = np.full((2, 2), confidence, np.float32)

@@ -301,7 +301,9 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
         for one in document["labels"]
     ]
     verdicts = tuple(Verdict.from_dict(one) for one in document["verdicts"])
-    return Evaluation(document["name"], tuple(rows), tuple(labels), verdicts, document["provenance"])
+    return Evaluation(
+        document["name"], tuple(rows), tuple(labels), verdicts, document["provenance"]
+    )
 
 
 def summary(evaluations: Iterable[Evaluation]) -> str:

@@ -23,10 +23,10 @@ _CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write 
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
-    """Return the mesh of an OBJ file [m]; polygons are cut into triangles, vertices keep their order.
+    """Return the mesh of an OBJ file [m]; its polygons are cut up, its vertices keep their order.
 
-    Only `v` and `f` lines count; remarks may be in any encoding. Vertices at the same place are refused instead of merged, because
-    merging would renumber the vertices.
+    Only `v` and `f` lines count; remarks may be in any encoding. Vertices at the same place are
+    refused instead of merged, because merging would renumber the vertices.
 
     Args:
         path: the OBJ file.

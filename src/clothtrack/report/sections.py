@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import StorageError
-from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.evaluation.label_review import REVIEW_SUFFIX, LabelReview
 from clothtrack.evaluation.metrics import root_mean_square_mm
 from clothtrack.evaluation.verdict import LIMITS, Evidence, Verdict
@@ -274,9 +273,7 @@ _EXPECTED_HELP = (
 )
 
 
-def review_card(
-    tracked: TrackedTrajectory, review: LabelReview, verdict: Verdict | None
-) -> str:
+def review_card(tracked: TrackedTrajectory, review: LabelReview, verdict: Verdict | None) -> str:
     """Return the card with buttons for each label and for saving the review."""
     if not review.labels:
         return ""

@@ -70,7 +70,7 @@ def calibrate_camera(
         source, camera_named(source, camera), board, robot_poses,
         camera_on_hand=camera_on_hand, keep_world=keep_world, force=force,
     )  # fmt: skip
-    return _placed(folder, placement, output and Path(output), force=force)
+    return _placed(folder, placement, output and Path(output), force=force, keep_world=keep_world)
 
 
 def _refuse_contradictions(
@@ -119,7 +119,12 @@ def _placement(
 
 
 def _placed(
-    folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool
+    folder: Path,
+    placement: "CameraPlacement",
+    output: Path | None,
+    *,
+    force: bool,
+    keep_world: bool,
 ) -> Result:
     """Save a placement to the requested place and report it."""
     from clothtrack.recordings.store import read_recording
@@ -134,7 +139,7 @@ def _placed(
     doubt = placement_doubt(placement)
     doubts = (
         f"{folder}: {doubt}: is the plane found the table? Let a bare table fill the picture, "
-        "or give a board with --charuco",
+        f"or give a board with --charuco{' instead of --keep-world' if keep_world else ''}",
     )
     return Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
 
