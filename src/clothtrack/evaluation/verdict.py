@@ -131,11 +131,7 @@ class Verdict:
         return f"{self.word}: {self.reason}"
 
     def of_label(self, action: int) -> "Verdict":
-        """Return the verdict on the label of one action, which whatever is wrong in general spoils.
-
-        Args:
-            action: number of the action, from 0.
-        """
+        """Return the verdict on one action's label, from evidence on it and on the recording."""
         about = [one for one in self.evidence if one.action in (None, action)]
         known = [one.measured for one in about if one.name == "expected error"]
         return _verdict(about, *known or [math.nan], self.trusted_up_to_m)
@@ -270,13 +266,7 @@ def evidence_of(label: LabelQuality) -> list[Evidence]:
 def picture_verdict(
     result: NetworkMesh, agreement: Agreement, given: Collection[str] = ()
 ) -> Verdict:
-    """Return the verdict on the mesh of one picture.
-
-    Args:
-        result: output of the network, with a mesh.
-        agreement: agreement of its mesh with the picture.
-        given: what was given with the picture: "size", "template", "mask".
-    """
+    """Return the verdict on the mesh of one picture."""
     mesh, expected_error_m = result.mesh, result.expected_error_m
     assert mesh is not None
     flat = np.asarray(mesh.vertices if mesh.canonical is None else mesh.canonical)

@@ -317,12 +317,7 @@ def verdict_strip(verdict: Verdict, labels: int) -> str:
 
 
 def evidence_card(found: Verdict, of: str = "recording") -> str:
-    """Return a verdict, with the evidence against the mesh first.
-
-    Args:
-        found: the verdict.
-        of: subject of evidence that is not about a single label.
-    """
+    """Return a verdict, with the evidence against the mesh first."""
     against = [one for one in found.evidence if one.word != "trust"]
     for_it = [one for one in found.evidence if one.word == "trust"]
     remedy = f"<p>What helps: <code>{escape(found.remedy)}</code></p>" if found.remedy else ""

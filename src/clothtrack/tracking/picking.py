@@ -153,15 +153,7 @@ def pick(
     recording: Recording,
     mesh: ClothMesh,
 ) -> HeldCloth:
-    """Return what the pickers of an action grasp, given the cloth at its start.
-
-    Args:
-        action: the pick-and-place.
-        state: the cloth at its first frame.
-        theta: number of held layers, and the grasp's offset.
-        recording: contains the picker paths and, if known, the held vertices.
-        mesh: the cloth's topology.
-    """
+    """Return what the pickers of an action grasp, given the cloth at its start."""
     cloth = mesh.with_vertices(state.positions[0].astype(np.float64))
     grasps = find_grasps(recording, action, cloth, theta.held_layers)
     return HeldCloth(grasps, np.array([0.0, 0.0, theta.grasp_offset_z_m]))

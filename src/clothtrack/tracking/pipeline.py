@@ -219,14 +219,6 @@ def checked_initial_state(
 ) -> tuple[InitialState, float | None]:
     """Return the cloth that tracking starts from, and its distance from its cloud (rms) [m].
 
-    Args:
-        recording: as for `find_initial_state`.
-        observation: as for `find_initial_state`.
-        config: as for `find_initial_state`.
-        segmenter: as for `find_initial_state`.
-        device: as for `find_initial_state`.
-        force: also accept a mesh that is far from its cloud.
-
     Raises:
         InvalidRecordingError: the mesh is far from its cloud, and `force` is not set; and as for
             `find_initial_state`.
