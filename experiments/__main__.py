@@ -13,6 +13,8 @@ from pathlib import Path
 
 from shared.figures import say
 
+from clothtrack.files.extras import install_command
+
 HERE = Path(__file__).parent
 FOLDERS = ("tables", "figures", "real")
 
@@ -39,7 +41,17 @@ def main() -> int | None:
         return 2
     sys.argv = [f"experiments {name}", *options]
     sys.path.append(str(HERE / FOLDERS[0]))
-    return import_module(known[name]).main()
+    try:
+        return import_module(known[name]).main()
+    except ModuleNotFoundError as error:
+        missing = str(error.name).partition(".")[0]
+        if missing.startswith("clothtrack") or (HERE / missing).exists():
+            raise
+        sys.stderr.write(
+            f"experiments {name} needs {missing}, which tracking does not; install with: "
+            f"{install_command('experiments')}\n"
+        )
+        return 1
 
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ def table_in_world(recording: Recording, camera: Camera, *, force: bool = False)
 
     The camera pose stays unchanged.
     """
-    fit = _plane_fit(recording, camera, force=force)
+    fit = _plane_fit(recording, camera, force=force, instead=" instead of --keep-world")
     table = _plane_in(camera.world_from_camera, fit)
     if table is None:
         raise InvalidRecordingError(
@@ -92,7 +92,7 @@ def table_in_world(recording: Recording, camera: Camera, *, force: bool = False)
     return CameraPlacement(camera.name, camera.world_from_camera, table, text)
 
 
-def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit:
+def _plane_fit(recording: Recording, camera: Camera, *, force: bool, instead: str = "") -> TableFit:
     """Return the plane in the depth; raise an error if the depth is not planar."""
     fit = fit_recorded_table(recording, camera)
     if fit.residual_m > LARGEST_RESIDUAL_M and not force:
@@ -100,7 +100,7 @@ def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit
             f"{recording.folder}: camera {camera.name!r}: the depth lies "
             f"{1e3 * fit.residual_m:.1f} mm (rms) from the plane found (at most "
             f"{1e3 * LARGEST_RESIDUAL_M:.0f}), which is no table then; let a bare table fill the "
-            "picture, give a board with --charuco, or use --force"
+            f"picture, give a board with --charuco{instead}, or use --force"
         )
     return fit
 

@@ -11,10 +11,12 @@ from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.template_file import read_template
 
 
-def picture(path, *, sixteen=False):
+def picture(path, *, sixteen=False, hem=1.0):
     """A red shirt of 60 cm on a gray table, 2 mm a pixel; light falls from one side."""
     spans = ShirtOutline().spans(0.6, depth=0.018)
-    corners = np.concatenate([span.points[:-1] for span in spans]) / 0.002 * (1, -1) + (320, 240)
+    points = np.concatenate([span.points[:-1] for span in spans])
+    points[points[:, 1] < points[:, 1].min() + 0.01, 0] *= hem
+    corners = points / 0.002 * (1, -1) + (320, 240)
     light = np.linspace(90, 170, 640)[None, :, None]
     shown = np.broadcast_to(light, (480, 640, 3)).astype(np.uint8).copy()
     cv2.fillPoly(shown, [np.rint(corners).astype(np.int32)], (40, 30, 180))
@@ -36,6 +38,16 @@ def test_a_color_picture_becomes_a_template_and_its_outline_is_drawn(tmp_path, c
     as_obj = tmp_path / "shirt.obj"
     assert cli.main([*words, "--output", str(as_obj)]) == 0
     assert np.allclose(read_template(as_obj).canonical, mesh.canonical)
+
+
+def test_a_hem_that_is_drawn_together_is_not_flat(tmp_path, capsys):
+    for hem, warned in ((1.0, False), (0.5, True)):
+        shown = picture(tmp_path / "flat.png", hem=hem)
+        words = ["garment", str(shown), "--kind", "tshirt", "--meters-per-pixel", "0.002"]
+        assert cli.main([*words, "--output", str(tmp_path / "shirt.npz")]) == 0
+        told = capsys.readouterr().err
+        assert ("does not lie flat" in told) == warned
+        assert told.count("\n") == warned
 
 
 def test_a_recording_becomes_a_template_of_the_size_that_it_states(tmp_path, capsys):

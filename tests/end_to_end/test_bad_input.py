@@ -9,6 +9,7 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.recordings import RecordingWriter, Table, read_recording
+from clothtrack.recordings.shipped import shipped_recording
 
 
 def document(folder, change):
@@ -200,6 +201,47 @@ def test_a_frame_without_cloth_in_the_middle_is_named(towels, tmp_path, capsys):
     assert "no cloth is found in frame 5" in told
     assert told.count("\n") == 1
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def set_forward(source, folder, at, by_s):
+    """Copy a recording whose clock jumps at a frame, in frames and picker alike."""
+    shutil.copytree(source, folder)
+    start_s = read_recording(folder).frames[at].time_s
+
+    def later(content):
+        for frame in content["frames"][at:]:
+            frame["time_s"] += by_s
+
+    document(folder, later)
+    head, *rows = (folder / "picker.csv").read_text().splitlines()
+    for place, row in enumerate(rows):
+        time, rest = row.split(",", 1)
+        if float(time) >= start_s - 1e-9:
+            rows[place] = f"{float(time) + by_s!r},{rest}"
+    (folder / "picker.csv").write_text("\n".join([head, *rows]) + "\n")
+
+
+def test_a_day_without_a_frame_is_not_simulated(tmp_path, capsys):
+    set_forward(shipped_recording(""), tmp_path / "held", 8, 86400.0)
+    words = ["track", str(tmp_path / "held"), "--output", str(tmp_path / "out")]
+    assert cli.main([*words, "--force"]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    for word in ("/held: ", "'gripper'", "86400.1 s", "frames 7 and 8 of action 1", "at most 10",
+                 "subtract 86400 from", "beyond frame 7"):  # fmt: skip
+        assert word in told
+    # The advice: subtract what is said.
+    set_forward(tmp_path / "held", tmp_path / "right", 8, -86400.0)
+    assert cli.main(["inspect", str(tmp_path / "right")]) == 0
+    assert "time_s steps" not in capsys.readouterr().out
+
+
+def test_a_pause_in_which_nothing_holds_the_cloth_is_cut(towels, tmp_path):
+    source = towels / "recordings" / "towel_0001"
+    last = read_recording(source).actions[-1].last_frame
+    set_forward(source, tmp_path / "pause", last, 86400.0)
+    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
+    assert cli.main(["track", str(tmp_path / "pause"), *words]) == 0
 
 
 def test_a_recording_without_cloth_at_its_start(tmp_path, towels, capsys):

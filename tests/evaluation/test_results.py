@@ -11,16 +11,18 @@ from clothtrack.evaluation.results import (
     STAGES,
     as_json,
     evaluate,
-    method_name,
+    from_plain,
     table,
 )
 from clothtrack.evaluation.truth import Truth
+from clothtrack.evaluation.verdict import trajectory_verdict
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasterizer
+from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.tracking.configuration import MODES, mode
+from clothtrack.tracking.configuration import MODES, ClothConfig, mode
 from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.tracking.tracked_trajectory import (
     Calibration,
@@ -150,11 +152,41 @@ def test_a_trajectory_of_another_recording_is_refused(recording, truth):
 
 
 @pytest.mark.parametrize("name", MODES)
-def test_a_stored_configuration_names_its_mode(name):
-    stored = json.loads(json.dumps(asdict(mode(name))))
-    assert method_name(stored) == name
+def test_a_stored_configuration_names_its_mode(recording, name):
+    stored = json.loads(json.dumps(asdict(replace(mode(name), seed=7))))
+    assert evaluate(tracked(TRUE[1], config=stored), recording).rows[0].method == name
     stored["objective"]["length_weight"] = 0.123
-    assert method_name(stored) == "custom"
+    assert evaluate(tracked(TRUE[1], config=stored), recording).rows[0].method == "custom"
+
+
+def test_a_thick_cloth_lies_higher_on_the_table(recording):
+    """The mesh lies at 1.5 mm, where half of 3 mm is right and half of 20 mm is not."""
+    flat = SHEET.vertices + [0.0, 0.0, 0.0015]
+    for thickness_m, share in ((0.003, 0.0), (0.02, 1.0)):
+        stored = asdict(RunConfig(cloth=ClothConfig(thickness_m=thickness_m)))
+        (row, _) = evaluate(tracked(flat, config=stored), recording).rows
+        assert row.cloth.below_table == share
+
+
+def test_settings_of_another_version_are_no_default_ones(recording):
+    stored = {"tracker": {"solver": {"thickness_m": 0.02}}}
+    with pytest.raises(InvalidResultError, match="fold: its settings are of another version"):
+        evaluate(tracked(TRUE[1], config=stored), recording)
+
+
+def test_one_word_for_one_label(recording):
+    """What the stored verdict knows of the recording, every label of it is told with."""
+    doubt = Finding("picker_clock", 0.4, 0.1, "s", "picker.csv", "the picker is 0.4 s late")
+    run = tracked(TRUE[1])
+    judged = trajectory_verdict(evaluate(run, recording).labels, [doubt])
+    found = evaluate(replace(run, verdict_fields=judged.as_dict()), recording)
+    assert [one.word for one in found.verdicts] == [judged.word] == ["look"]
+    (plain,) = json.loads(as_json([found]))
+    assert plain["verdicts"][0]["word"] == "look"
+    assert plain["verdicts"][0]["trusted_up_to_m"] == 0.008
+    assert from_plain(plain).verdicts[0].word == "look"
+    assert "  look" in str(found).splitlines()[1]
+    assert "at most 8 and nothing speaks against it" in str(found)
 
 
 def test_json_has_every_name_and_no_nan(recording):

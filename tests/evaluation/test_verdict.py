@@ -15,7 +15,6 @@ from clothtrack.evaluation.verdict import (
     Verdict,
     picture_verdict,
     trajectory_verdict,
-    verdict,
 )
 from clothtrack.garments import garment
 from clothtrack.geometry import Camera
@@ -32,6 +31,10 @@ TORN = LIMITS["stretched edges"].look
 def label(expected_mm, *, strain=0.01, action=0, **more):
     evidence = LabelEvidence(0.01, 0.001, 0.003, strain, 0.0, 0.001, 0.02, 0.4, action + 1)
     return LabelQuality(action, 10 * (action + 1), expected_mm, evidence, **more)
+
+
+def verdict(one):
+    return trajectory_verdict([one]).of_label(one.action)
 
 
 def test_a_larger_expected_error_never_makes_a_better_word():
@@ -80,6 +83,7 @@ def test_what_the_recording_contradicts_itself_in_is_heard():
     assert found.word == "look"
     assert "the picker is 0.4 s late" in found.reason
     assert found.evidence[0].name == "picker_clock"
+    assert found.of_label(0) == found  # what is wrong with the recording spoils each label
     assert found.remedy
     assert trajectory_verdict([label(2.5)]).remedy == ""
 
@@ -96,9 +100,14 @@ def test_cloth_that_moves_after_an_action_leaves_the_mesh_behind():
 def test_a_trajectory_is_worth_what_its_worst_label_is():
     labels = [label(3.0), label(20.0, action=1), label(9.0, action=2)]
     found = trajectory_verdict(labels)
-    assert str(found) == "reject: expected error 20.0 mm (at most 16), after action 2 of 3; 1 more"
+    assert str(found) == (
+        "reject: expected error 20.0 mm (trusted up to 8, rejected above 16), after "
+        "action 2 of 3; 1 more"
+    )
     assert found.expected_error_m == pytest.approx(0.020)
     assert trajectory_verdict([label(3.0), label(math.nan, action=1)]).word == "reject"
+    assert [found.of_label(one.action).word for one in labels] == ["trust", "reject", "look"]
+    assert found.of_label(2).reason == "expected error 9.0 mm (trusted up to 8)"
     assert trajectory_verdict(labels[:1]) == verdict(labels[0])
     assert trajectory_verdict([]).word == "look"
 
@@ -111,7 +120,7 @@ def test_a_verdict_is_the_same_after_json():
         assert str(again) == str(found)
 
 
-def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, turns=0.01):
+def picture(*, iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, turns=0.01, given=()):
     """The verdict of a mesh whose longer side is 0.4 m."""
     mesh = garment("towel", vertex_count=60, size_m=(0.4, 0.2))
     sure = np.full((2, 2), confidence, np.float32)
@@ -122,7 +131,25 @@ def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, turns=0.01):
     result = NetworkMesh(
         mesh, made, expected_error_m=share and 0.4 * share, spread_over_turns=turns
     )
-    return picture_verdict(result, Agreement(iou, chamfer_m2))
+    return picture_verdict(result, Agreement(iou, chamfer_m2), given)
+
+
+ADVICE = {
+    frozenset(): "give the garment's --size or --template, or the cloth's --mask",
+    frozenset({"mask"}): "give the garment's --size or --template",
+    frozenset(
+        {"size"}
+    ): "give the garment's --template instead of its --size, or the cloth's --mask",
+    frozenset({"size", "mask"}): "give the garment's --template instead of its --size",
+    frozenset({"template"}): "give the cloth's --mask",
+    frozenset({"template", "mask"}): "spread the cloth a little, and take another picture",
+}
+"""What helps against a wrong outline, by what was given."""
+
+
+@pytest.mark.parametrize("given", ADVICE)
+def test_what_was_given_is_never_advised(given):
+    assert picture(iou=0.5, given=given).remedy == ADVICE[given]
 
 
 MEASURES = {
@@ -136,7 +163,8 @@ MEASURES = {
 
 def test_the_mesh_of_one_picture_is_trusted_with_its_evidence():
     found = picture()
-    assert str(found) == "trust: expected error 4.0 mm"
+    assert str(found) == "trust: expected error 4.0 mm (trusted up to 24)"
+    assert found.trusted_up_to_m == pytest.approx(0.024)
     assert found.remedy == ""
     assert {one.name for one in found.evidence} == set(MEASURES)
 
@@ -153,15 +181,17 @@ def test_every_measure_of_a_picture_decides_and_names_the_limit_that_it_broke(na
         assert found.word == word
         if word != "trust":
             said = {"look": f"trusted up to {factor * limit.look:g}"}
-            said |= {"reject": f"at most {factor * limit.reject:g}"}
+            said |= {"reject": f"rejected above {factor * limit.reject:g}"}
             assert said[word] in found.reason
-            assert found.remedy == limit.remedy
+            assert found.remedy == (limit.remedy or ADVICE[frozenset()])
 
 
 def test_a_mesh_that_nobody_can_see_or_vouch_for_is_not_trusted():
     found = picture(chamfer_m2=None)
     assert str(found).startswith("reject: no part of the mesh is visible in the picture")
     unknown = picture(share=None, turns=None)
-    assert str(unknown) == "look: the network does not say how far off it may be"
+    assert str(unknown) == (
+        "look: the network does not say how far off it may be (errors trusted up to 24 mm)"
+    )
     again = Verdict.from_dict(json.loads(json.dumps(unknown.as_dict(), allow_nan=False)))
     assert str(again) == str(unknown)

@@ -44,6 +44,23 @@ def test_the_options_of_the_index_exist(name, smoke, options, monkeypatch, capsy
     assert ("--smoke" in text) == bool(smoke)
 
 
+@pytest.mark.parametrize(("name", "module"), [("claim", "mujoco"), ("table2_real", "skimage")])
+def test_a_missing_extra_is_named_in_one_line(tmp_path, name, module):
+    code = (
+        f"import runpy, sys; sys.modules[{module!r}] = None; "
+        f"sys.argv = ['experiments', {name!r}, '--help']; runpy.run_path({str(EXPERIMENTS)!r}, "
+        "run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith(f"experiments {name} needs {module}, ")
+    assert "[experiments]" in done.stderr or "EXTRAS=experiments" in done.stderr
+
+
 def test_an_experiment_starts_from_any_folder(tmp_path):
     done = started("targets", "--rows", "nothing", cwd=tmp_path)
     assert done.returncode == 1

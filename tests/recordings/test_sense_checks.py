@@ -28,6 +28,7 @@ from clothtrack.recordings.geometry_checks.small_pictures import small_pictures
 from clothtrack.recordings.geometry_checks.template_checks import size_findings, template_findings
 from clothtrack.recordings.geometry_checks.tip_checks import hand_findings, motion_findings
 from clothtrack.recordings.inspection import inspect
+from clothtrack.recordings.pictures import read_color, read_depth, read_mask
 from clothtrack.recordings.recording import ClothDescription, PickAndPlace, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -290,6 +291,28 @@ def test_clocks_are_in_seconds_and_without_gaps(film):
     assert (spacing.kind, spacing.severity) == ("frame_spacing", "note")
 
 
+@pytest.mark.parametrize(("at", "severity"), [(1, "note"), (9, "doubt"), (FRAMES - 1, "note")])
+def test_a_clock_that_jumps_is_named_whatever_the_tip_does(film, at, severity):
+    """Frames and path jump together, so that the tip stands still in the jump."""
+    start_s, day_s = film.frames[at].time_s, 86400.0
+    path = film.picker_paths["hand"]
+    frames = [*film.frames[:at], *(replace(f, time_s=f.time_s + day_s) for f in film.frames[at:])]
+    later = path.time_s + day_s * (path.time_s > start_s - 1e-9)
+    set_forward = replace(
+        film, frames=tuple(frames), picker_paths={"hand": replace(path, time_s=later)}
+    )
+    (jump,) = time_findings(set_forward)
+    assert (jump.kind, jump.severity) == ("clock_jump", severity)
+    assert jump.measured == pytest.approx(day_s + 0.1)
+    assert jump.limit == pytest.approx(10.0)
+    for words in (
+        f"frame {at - 1} to frame {at} ",
+        "subtract 86400 from",
+        f"beyond frame {at - 1}",
+    ):
+        assert words in jump.text
+
+
 @pytest.mark.parametrize(("step_m", "found"), [(0.0005, False), (0.003, False), (0.012, True)])
 def test_depth_in_large_steps_is_doubted(film, tmp_path, step_m, found):
     def change(kind, picture):
@@ -423,8 +446,6 @@ def lying(folder, k1):
 
 def rewritten(film, folder, change):
     """A copy whose pictures a function changed: (frame number, kind, picture)."""
-    from clothtrack.recordings.pictures import read_color, read_depth, read_mask
-
     with RecordingWriter(
         folder, film.cameras, film.depth_units_m, table=film.table, cloth=film.cloth
     ) as writer:

@@ -19,6 +19,9 @@ Kind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
 _LEAST_VERTICES = 50
 """Smallest number of vertices of a template."""
 
+_LEAST_HEM = 0.75
+"""Least width of a flat shirt's hem over that between its armpits; drawn cuts have 0.87 to 1.15."""
+
 _PLACE = re.compile(r"(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)")
 
 
@@ -55,6 +58,12 @@ class GarmentTemplate:
         if self.kind not in ("towel", "trousers") and not self.template.neck_seen:
             found.append(
                 "the neck's ends are a guess: no dip shows them; check the picture, or --openings"
+            )
+        if (share := self.template.hem_share) < _LEAST_HEM:
+            found.append(
+                f"the hem is {share:.2f} times as wide as the body between the armpits (at least "
+                f"{_LEAST_HEM:g} when flat): the garment does not lie flat there, or the openings "
+                "are wrong; smooth it out, and look at the picture of the outline"
             )
         if self.kind != "towel" and not (self.template.mirrored or self.as_it_lies):
             found.append(

@@ -378,8 +378,14 @@ def _reconstructed(
     )
     if network.mesh is None:
         raise InvalidResultError(f"{named}: no mesh ({network.reconstruction.status})")
-    asked = size_m is not None or template is not None
-    return ReconstructedMesh.of(network, replace(shown, kind=kind), asked=asked)
+    # A recording says its masks itself, and maybe the size.
+    recorded = isinstance(picture, Path | str) and Path(picture).is_dir()
+    known = {
+        "size": size_m or shown.size_m, "template": template,
+        "mask": recorded or of_picture["mask"],
+    }  # fmt: skip
+    given = frozenset(name for name, one in known.items() if one)
+    return ReconstructedMesh.of(network, replace(shown, kind=kind), given)
 
 
 def _depth_input(

@@ -24,25 +24,25 @@ class ReconstructedMesh(ClothMesh):
     Attributes:
         network: the result of the network.
         picture: the input picture, with its garment.
-        asked: whether the garment's size was given.
+        given: what was given with the picture: "size", "template", "mask".
         path: where it was written; None if it was not.
     """
 
     network: "NetworkMesh" = None  # pyright: ignore[reportAssignmentType]
     picture: "DepthInput" = None  # pyright: ignore[reportAssignmentType]
-    asked: bool = False
+    given: frozenset[str] = frozenset()
     path: Path | None = None
 
     @classmethod
     def of(
-        cls, network: "NetworkMesh", picture: "DepthInput", *, asked: bool
+        cls, network: "NetworkMesh", picture: "DepthInput", given: frozenset[str]
     ) -> "ReconstructedMesh":
         """Return the mesh of a network's result, which must have one."""
         mesh = network.mesh
         assert mesh is not None
         return cls(
             mesh.vertices, mesh.faces, mesh.canonical, network=network, picture=picture,
-            asked=asked,
+            given=given,
         )  # fmt: skip
 
     @cached_property
@@ -57,7 +57,7 @@ class ReconstructedMesh(ClothMesh):
         """Trust, look or reject, with the evidence."""
         from clothtrack.evaluation.verdict import picture_verdict
 
-        return picture_verdict(self.network, self._agreement)
+        return picture_verdict(self.network, self._agreement, self.given)
 
     @property
     def vertex_bounds_m(self) -> "Float[np.ndarray, ' vertices'] | None":
@@ -82,7 +82,7 @@ class ReconstructedMesh(ClothMesh):
         )
         if figures["expected_error_m"] is not None:
             summary += f", expected error {1e3 * figures['expected_error_m']:.0f} mm"
-        if network.choices and not self.asked and self.picture.size_m is None:
+        if network.choices and not self.given & {"size", "template"}:
             width, length = network.choices[0].size_m
             # A towel's name is only that of the rectangle that the search began with.
             cut = "" if self.picture.kind == "towel" else f"{network.choices[0].cut} of "

@@ -67,8 +67,10 @@ class TrackedRecording:
                 "last_frame in recording.json tracks on"
             )
         if self.verdict.remedy:
-            named = self.verdict.remedy.replace("NAME.zarr", str(self.outcome.result))
-            lines.append(f"  what helps: {named.replace('RECORDING', str(self.outcome.recording))}")
+            source = str(self.outcome.recording)
+            shown = f"{self.outcome.result} --recordings {source}"
+            named = self.verdict.remedy.replace("NAME.zarr", shown).replace("RECORDING", source)
+            lines.append(f"  what helps: {named}")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:

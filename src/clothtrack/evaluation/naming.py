@@ -30,10 +30,6 @@ def true_places(tracked: TrackedTrajectory, truth: Truth) -> Where | None:
     The tracked canonical coordinates are used unchanged if they come from the recording's template,
     or if the garment has two layers, whose front is known. Otherwise the symmetry that is nearest
     to the truth at the first common frame is applied to all frames.
-
-    Args:
-        tracked: the tracked trajectory.
-        truth: the true meshes.
     """
     if truth.canonical is None or tracked.mesh.canonical is None:
         return None

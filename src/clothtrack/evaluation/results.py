@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothtrack._shown import short_repr
-from clothtrack.errors import InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_evidence import LabelEvidence
 from clothtrack.evaluation.label_quality import LabelQuality, Misplaced, judge_labels
 from clothtrack.evaluation.metrics import (
@@ -25,13 +25,13 @@ from clothtrack.evaluation.metrics import (
 )
 from clothtrack.evaluation.naming import Where, true_places
 from clothtrack.evaluation.truth import Truth, material_points
-from clothtrack.evaluation.verdict import verdict
+from clothtrack.evaluation.verdict import LIMITS, Verdict, verdict_of
+from clothtrack.files.settings import from_plain as from_stored
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.simulation.parameters import SolverConfig
-from clothtrack.tracking.configuration import MODES
+from clothtrack.tracking.configuration import MODES, RunConfig
 from clothtrack.tracking.tracked_trajectory import TrackedAction, TrackedTrajectory
 
 Stage = Literal["before_final_alignment", "after_final_alignment"]
@@ -82,12 +82,14 @@ class Evaluation:
         rows: measures per action, before and after the final alignment.
         labels: quality of the mesh after the final alignment, per action; estimated from the
             observation without the truth.
+        verdicts: the verdict on each of these labels.
         provenance: commit, configuration hash, versions, seed and device of the tracking run.
     """
 
     name: str
     rows: tuple[Row, ...]
     labels: tuple[LabelQuality, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = short_repr
@@ -150,7 +152,9 @@ def evaluate(
             )
             rows.append(row)
     labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
-    return Evaluation(tracked.name, tuple(rows), labels, tracked.provenance)
+    whole = verdict_of(tracked, recording, labels, segmenter=segmenter, device=device)
+    verdicts = tuple(whole.of_label(one.action) for one in labels)
+    return Evaluation(tracked.name, tuple(rows), labels, verdicts, tracked.provenance)
 
 
 def observed_chamfer(
@@ -171,15 +175,21 @@ def observed_chamfer(
     return chamfer_pc(vertices, seen & ~observation.unobservable(vertices), observation.points)
 
 
-def method_name(config: Mapping[str, Any]) -> str:
-    """Return the named mode that matches a stored run, except for seed and first mesh."""
+def method_name(config: RunConfig) -> str:
+    """Return the named mode that matches a run, except for seed, first mesh and cloud spacing."""
+    own = {name: getattr(config, name) for name in ("seed", "initial_state", "cloud_spacing_m")}
+    return next((name for name, one in MODES.items() if replace(one, **own) == config), "custom")
 
-    def method(settings: Mapping[str, Any]) -> str:
-        own = {key: settings.get(key) for key in ("mode", "color", "cloth", "search", "objective")}
-        return json.dumps(own, sort_keys=True, default=str)
 
-    names = (name for name, mode in MODES.items() if method(asdict(mode)) == method(config))
-    return next(names, "custom")
+def _settings(tracked: TrackedTrajectory) -> RunConfig:
+    """Return the settings of a run; the default ones if none are stored."""
+    try:
+        return from_stored(RunConfig(), tracked.config) if tracked.config else RunConfig()
+    except InvalidConfigError as error:
+        raise InvalidResultError(
+            f"{tracked.name}: its settings are of another version ({error}); track the recording "
+            "again"
+        ) from error
 
 
 def _reference(
@@ -228,10 +238,10 @@ def _row(
     surface = float("nan")
     if reference.surface is not None:
         surface = chamfer_surface((vertices, faces), reference.surface, seed=seed)
-    number, stage = which
+    (number, stage), config = which, _settings(tracked)
     return Row(
         recording=tracked.name,
-        method=method_name(tracked.config),
+        method=method_name(config),
         action=number,
         frame=tracked.actions[number].last_frame,
         stage=stage,
@@ -242,15 +252,12 @@ def _row(
         chamfer_surface=surface,
         vertex_error_mm=errors,
         cloth=cloth_measures(
-            tracked.mesh, vertices, recording.table, rest_height_m=_rest_height_m(tracked.config)
+            tracked.mesh,
+            vertices,
+            recording.table,
+            rest_height_m=0.5 * config.cloth.thickness_m,
         ),
     )
-
-
-def _rest_height_m(config: Mapping[str, Any]) -> float:
-    """Return the resting height of the tracked mid-surface [m], half the thickness."""
-    solver = config.get("tracker", {}).get("solver", {})
-    return 0.5 * float(solver.get("thickness_m", SolverConfig().thickness_m))
 
 
 def as_json(evaluations: Sequence[Evaluation]) -> str:
@@ -260,7 +267,8 @@ def as_json(evaluations: Sequence[Evaluation]) -> str:
 
 def as_plain(evaluation: Evaluation) -> dict[str, Any]:
     """Return an evaluation as plain JSON values, with a verdict on every label."""
-    verdicts = [{"action": one.action, **verdict(one).as_dict()} for one in evaluation.labels]
+    judged = zip(evaluation.labels, evaluation.verdicts, strict=True)
+    verdicts = [{"action": one.action, **found.as_dict()} for one, found in judged]
     numbers = tuple(
         replace(one, evidence=replace(one.evidence, misfit=None)) for one in evaluation.labels
     )
@@ -288,14 +296,17 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
         LabelQuality(
             **{
                 **numbers(one),
-                "evidence": LabelEvidence(**numbers(one["evidence"])),
+                "evidence": LabelEvidence(**numbers(one["evidence"]) | {"misfit": None}),
                 "misplaced": Misplaced(**one.get("misplaced", {})),
                 "idle_pickers": tuple(one.get("idle_pickers", ())),
             }
         )
         for one in document["labels"]
     ]
-    return Evaluation(document["name"], tuple(rows), tuple(labels), document["provenance"])
+    verdicts = tuple(Verdict.from_dict(one) for one in document["verdicts"])
+    return Evaluation(
+        document["name"], tuple(rows), tuple(labels), verdicts, document["provenance"]
+    )
 
 
 def summary(evaluations: Iterable[Evaluation]) -> str:
@@ -306,7 +317,8 @@ def summary(evaluations: Iterable[Evaluation]) -> str:
     ]
     reasons = []
     for evaluation in evaluations:
-        judged = {one.action: verdict(one) for one in evaluation.labels}
+        actions = (one.action for one in evaluation.labels)
+        judged = dict(zip(actions, evaluation.verdicts, strict=True))
         for row in evaluation.rows:
             if row.stage != "after_final_alignment":
                 continue
@@ -337,8 +349,9 @@ _EXCHANGED = (
 
 _SUMMARY_LEGEND = (
     "[mm] distance: mesh to cloud; floor: that of a right mesh; expected: error of a\n"
-    "vertex, judged without truth; true: with it. trust: use the label; look: see it\n"
-    "first; reject: leave it out. --all shows every measure."
+    "vertex, judged without truth; true: with it. trust: use the label, expected is\n"
+    f"at most {1e3 * LIMITS['expected error'].look:g} and nothing speaks against it; look: see it "
+    "first; reject: leave\nit out. --all shows every measure."
 )
 
 

@@ -5,7 +5,7 @@ a limit (`LIMITS`); the findings of the recording's checks are evidence, too.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -50,8 +50,7 @@ class Limit:
     named: bool = False
 
 
-_OTHER_GARMENT = "give the garment's --size or --template"
-_OTHER_MASK = f"{_OTHER_GARMENT}, or the cloth's --mask"
+_OTHER_INPUT = ""  # It depends on what was given (`_other_input`).
 _OTHER_PICTURE = "spread the cloth a little, and take another picture"
 
 LIMITS: Mapping[str, Limit] = {
@@ -69,10 +68,10 @@ LIMITS: Mapping[str, Limit] = {
     "pickers that hold nothing": Limit("", 0.0, remedy="clothtrack inspect RECORDING"),
     # For the mesh of one picture; chosen on simulated states of seed 77 (docs/results.md).
     # 1 - intersection over union.
-    "silhouette": Limit("", 0.10, 0.25, _OTHER_MASK, named=True),
+    "silhouette": Limit("", 0.10, 0.25, _OTHER_INPUT, named=True),
     # These three are relative to the longer side, because the network learned from garments of all
     # sizes.
-    "visible surface over side": Limit("", 0.025, 0.05, _OTHER_MASK, named=True),
+    "visible surface over side": Limit("", 0.025, 0.05, _OTHER_INPUT, named=True),
     "spread over turns": Limit("", 0.03, 0.1, _OTHER_PICTURE, named=True),
     "expected error over side": Limit("", 0.06, 0.1, _OTHER_PICTURE, named=True),
     # 1 - mean confidence of the correspondences; without it 4 of 45 trusted states are wrong.
@@ -119,12 +118,14 @@ class Verdict:
         reason: the decisive evidence, in words.
         expected_error_m: expected mean vertex error [m]; NaN if nothing was seen.
         evidence: all evidence, the worst first.
+        trusted_up_to_m: largest expected error that is trusted [m].
     """
 
     word: Word
     reason: str
     expected_error_m: float
     evidence: tuple[Evidence, ...] = ()
+    trusted_up_to_m: float = LIMITS["expected error"].look
 
     __repr__ = short_repr
 
@@ -138,6 +139,12 @@ class Verdict:
             for number, one in enumerate(self.evidence, start=1)
         }
         return html_table(str(self), rows)
+
+    def of_label(self, action: int) -> "Verdict":
+        """Return the verdict on one action's label, from evidence on it and on the recording."""
+        about = [one for one in self.evidence if one.action in (None, action)]
+        known = [one.measured for one in about if one.name == "expected error"]
+        return _verdict(about, *known or [math.nan], self.trusted_up_to_m)
 
     @property
     def remedy(self) -> str:
@@ -164,7 +171,8 @@ class Verdict:
             for one in plain["evidence"]
         )
         expected = _or_nan(plain["expected_error_m"])
-        return cls(plain["word"], plain["reason"], expected, evidence)
+        limit_m = plain.get("trusted_up_to_m", cls.trusted_up_to_m)  # once it was not stored
+        return cls(plain["word"], plain["reason"], expected, evidence, limit_m)
 
 
 def trajectory_verdict(
@@ -189,7 +197,9 @@ def trajectory_verdict(
         reason = "no action, so that no mesh was judged"
         return Verdict("look", reason, math.nan, tuple(evidence))
     expected = [1e-3 * label.expected_error_mm for label in labels]
-    return _verdict(evidence, max(expected, key=_or_infinite), actions=len(labels))
+    return _verdict(
+        evidence, max(expected, key=_or_infinite), LIMITS["expected error"].look, len(labels)
+    )
 
 
 def judge(
@@ -224,17 +234,14 @@ def verdict_of(
     tracked: TrackedTrajectory,
     recording: Recording,
     labels: Sequence[LabelQuality] | None = None,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
 ) -> Verdict:
-    """Return the verdict that is stored with a trajectory, or compute one.
-
-    Args:
-        tracked: the tracked trajectory.
-        recording: recording that it was tracked from.
-        labels: qualities of its labels; computed if needed.
-    """
+    """Return the verdict that is stored with a trajectory, or compute one; as for `judge`."""
     if tracked.verdict_fields:
         return Verdict.from_dict(tracked.verdict_fields)
-    return judge(tracked, recording, labels)
+    return judge(tracked, recording, labels, segmenter=segmenter, device=device)
 
 
 def judged(
@@ -247,11 +254,6 @@ def judged(
 ) -> dict[str, Any]:
     """Return the verdict as it is stored with a trajectory (`tracking.pipeline.Judge`)."""
     return judge(tracked, recording, segmenter=segmenter, device=device, frames=frames).as_dict()
-
-
-def verdict(label: LabelQuality) -> Verdict:
-    """Return the verdict on one label from the evidence about it alone."""
-    return _verdict(evidence_of(label), 1e-3 * label.expected_error_mm)
 
 
 def evidence_of(label: LabelQuality) -> list[Evidence]:
@@ -271,13 +273,10 @@ def evidence_of(label: LabelQuality) -> list[Evidence]:
     return [replace(one, action=label.action) for one in found]
 
 
-def picture_verdict(result: NetworkMesh, agreement: Agreement) -> Verdict:
-    """Return the verdict on the mesh of one picture.
-
-    Args:
-        result: output of the network, with a mesh.
-        agreement: agreement of its mesh with the picture.
-    """
+def picture_verdict(
+    result: NetworkMesh, agreement: Agreement, given: Collection[str] = ()
+) -> Verdict:
+    """Return the verdict on the mesh of one picture."""
     mesh, expected_error_m = result.mesh, result.expected_error_m
     assert mesh is not None
     flat = np.asarray(mesh.vertices if mesh.canonical is None else mesh.canonical)
@@ -309,7 +308,18 @@ def picture_verdict(result: NetworkMesh, agreement: Agreement) -> Verdict:
     if (turns := result.spread_over_turns) is not None:
         text = f"answers in other turns of the picture lie {100 * turns:.1f} % of the side away"
         evidence.append(_measured("spread over turns", turns, text))
-    return _verdict(evidence, expected_m)
+    helpful = _other_input(given)
+    evidence = [replace(one, remedy=one.remedy or helpful) for one in evidence]
+    return _verdict(evidence, expected_m, LIMITS["expected error over side"].look * side_m)
+
+
+def _other_input(given: Collection[str]) -> str:
+    """Return the options that tell the network more than what was given."""
+    options = [] if "mask" in given else ["the cloth's --mask"]
+    if "template" not in given:
+        size = "--template instead of its --size" if "size" in given else "--size or --template"
+        options.insert(0, f"the garment's {size}")
+    return f"give {', or '.join(options)}" if options else _OTHER_PICTURE
 
 
 def _of_finding(finding: Finding) -> Evidence:
@@ -339,36 +349,39 @@ def _measured(name: str, measured: float, text: str) -> Evidence:
     return Evidence(name, measured, limit.look, limit.unit, word, text, limit.remedy)
 
 
-def _verdict(evidence: Iterable[Evidence], expected_m: float, *, actions: int = 1) -> Verdict:
+def _verdict(
+    evidence: Iterable[Evidence], expected_m: float, limit_m: float, actions: int = 1
+) -> Verdict:
     """Return the verdict from the worst evidence, with the reason."""
     ranked = sorted(evidence, key=lambda one: (-WORDS.index(one.word), -_excess(one)))
     against = [one for one in ranked if one.word != "trust"]
-    text = f"expected error {1e3 * expected_m:.1f} mm"
+    text, up_to = f"expected error {1e3 * expected_m:.1f} mm", f"trusted up to {1e3 * limit_m:.0f}"
     if not against:
-        return Verdict("trust", text, expected_m, tuple(ranked))
+        return Verdict("trust", f"{text} ({up_to})", expected_m, tuple(ranked), limit_m)
     worst = against[0]
     notes = [_bound(worst)]
-    if worst.name != "expected error" and math.isfinite(expected_m):
-        notes.append(text)
-    reason = worst.text
-    if any(notes):
-        reason += f" ({'; '.join(filter(None, notes))})"
+    if not math.isfinite(expected_m):
+        notes.append(f"errors {up_to} mm")
+    elif worst.name != "expected error":
+        notes.append(f"{text}, {up_to}")
+    reason = f"{worst.text} ({'; '.join(filter(None, notes))})"
     if worst.action is not None and actions > 1:
         reason += f", after action {worst.action + 1} of {actions}"
     if len(against) > 1:
         reason += f"; {len(against) - 1} more"
-    return Verdict(worst.word, reason, expected_m, tuple(ranked))
+    return Verdict(worst.word, reason, expected_m, tuple(ranked), limit_m)
 
 
 def _bound(one: Evidence) -> str:
-    """Return the decisive limit in words."""
+    """Return the limits of the decisive evidence in words."""
     limit = LIMITS.get(one.name)
     if limit is None or not limit.named or not math.isfinite(one.measured):
         return ""
     scale, unit = (1e3, "") if limit.unit == "m" else (100.0, " %")
+    words = f"trusted up to {scale * limit.look:g}{unit}"
     if one.word == "reject":
-        return f"at most {scale * limit.reject:g}{unit}"
-    return f"trusted up to {scale * limit.look:g}{unit}"
+        words += f", rejected above {scale * limit.reject:g}{unit}"
+    return words
 
 
 def _excess(one: Evidence) -> float:

@@ -26,10 +26,6 @@ def expected_vertex_errors(
     """Return the expected error of each vertex of a label [m].
 
     Their mean is the label's expected error, or more if the observation contradicts the mesh.
-
-    Args:
-        action: action with the spread of its candidates; without a spread the error is uniform.
-        label: quality of the same action's label; NaN if nothing was seen.
     """
     expected_m = 1e-3 * label.expected_error_mm
     spread_m, vertices = action.calibration.spread_m, len(action.positions_after_final_alignment)

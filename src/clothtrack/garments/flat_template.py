@@ -88,6 +88,16 @@ class FlatTemplate:
     neck_seen: bool = True
 
     @property
+    def hem_share(self) -> float:
+        """Width of a shirt's hem over that between its armpits; 1 for another garment."""
+        if self.kind in ("towel", "trousers"):
+            return 1.0
+        hem, side = (stretch.points for stretch in self.stretches[:2])
+        across = np.array([side[0, 1] - side[-1, 1], side[-1, 0] - side[0, 0]])
+        armpit = side[int(((side - side[0]) @ across).argmax())]
+        return float((hem[-1, 0] - hem[0, 0]) / (2.0 * abs(armpit[0])))
+
+    @property
     def measures(self) -> dict[str, float]:
         """Width and length [m], area of the outline [m^2], mean length of each stretch [m]."""
         points = np.concatenate([stretch.points[:-1] for stretch in self.stretches])

@@ -203,7 +203,7 @@ def _whole_cloth(
     if second > _SPECK_SHARE * areas[largest]:
         raise InvalidRecordingError(
             f"{name}: the cloth is in two pieces of {areas[largest]} and {second} pixels; lay down "
-            "one garment, or give its mask with --mask"
+            "one garment, or let its mask (that of the recording, or --mask) show one"
         )
     cloth = label == largest
     if cloth[0].any() or cloth[-1].any() or cloth[:, 0].any() or cloth[:, -1].any():

@@ -66,18 +66,7 @@ class LiveAction:
         first: Frame,
         by_gripper: bool,
     ) -> None:
-        """Begin with a frame in which the cloth lies still.
-
-        Args:
-            growing: the recording, which already contains the action.
-            components: components that find the grasp.
-            method: the functions of Algorithm 1.
-            recorder: recorder of the tracked states.
-            state: the cloth at the first frame.
-            theta: parameters of the cloth.
-            first: the first frame.
-            by_gripper: whether the action ends when the pickers have opened.
-        """
+        """Begin with a frame in which the cloth lies still."""
         self._standing = Standing(state, theta, dict(components.anchors.bound))
         self._log = SeenLog()
         self._hurried, self._paths = False, dict[str, PickerPath]()
@@ -188,12 +177,7 @@ class LiveAction:
         )  # fmt: skip
 
     def asked(self, *, behind: bool) -> Asked | None:
-        """Return the search request for the ended action; None if it cannot be searched.
-
-        Args:
-            behind: whether an earlier search was unanswered when the action began; this search
-                then starts from that result.
-        """
+        """Return the search request for the ended action; None if it cannot be searched."""
         log, known = self._log, self._known
         if known is None:
             return None

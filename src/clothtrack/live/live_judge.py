@@ -50,12 +50,7 @@ class LiveJudge:
     """Judge of the newest mesh in a separate thread, one mesh at a time."""
 
     def __init__(self, mesh: ClothMesh, device: str) -> None:
-        """Start the thread.
-
-        Args:
-            mesh: the flat cloth.
-            device: "cpu" or "cuda:0", for outlines.
-        """
+        """Start the thread."""
         self._mesh, self._device = mesh, device
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-judge")
         self._busy: Future[Judgment] | None = None

@@ -39,13 +39,7 @@ class LiveStream:
     def __init__(
         self, tracker: LiveTracker, on_state: Callable[[LiveState], None] | None = None
     ) -> None:
-        """Start the thread.
-
-        Args:
-            tracker: the tracker; do not call it elsewhere while the stream runs.
-            on_state: callback in that thread after every picture, and when a source stalls or
-                recovers.
-        """
+        """Start the thread."""
         self._tracker, self._on_state = tracker, on_state
         self._change = threading.Condition()
         self._waiting: _Arrival | None = None

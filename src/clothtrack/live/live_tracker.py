@@ -352,11 +352,7 @@ class LiveTracker:
         self._over, self._action, self._ends = (action, last), None, False
 
     def _finish(self, *, wait: bool) -> None:
-        """Apply the final alignment of the ended action if it is ready.
-
-        Args:
-            wait: whether to wait for it, or to compute it now if it was not started.
-        """
+        """Apply the final alignment of the ended action if it is ready."""
         if self._over is None or not (wait or (self._final and self._final.done())):
             return
         (action, last), final, parts = self._over, self._final, self._parts
@@ -390,11 +386,7 @@ class LiveTracker:
             search.ask(asked)
 
     def _take_searched(self, *, wait: bool) -> None:
-        """Store new search results, and use the mesh of the newest action.
-
-        Args:
-            wait: whether to wait for all answers.
-        """
+        """Store new search results, and use the mesh of the newest action."""
         search, parts = self._search, self._parts
         # The final alignment writes to the recorder in another thread.
         if search is None or parts is None or self._over is not None:

@@ -47,12 +47,7 @@ class Asked:
 
 
 def in_tracked_frames(known: TrackedCandidate, frames: Sequence[int]) -> TrackedCandidate:
-    """Convert a live candidate to the frame numbers of its `Question`.
-
-    Args:
-        known: candidate in the frames of the live recording.
-        frames: frames in which it was tracked, starting with the first of its action.
-    """
+    """Convert a live candidate to the frame numbers of its `Question`."""
     rows = np.array(frames)
     records = StepRecords.empty(len(rows))
     for name in StepRecords.__annotations__:
@@ -63,13 +58,7 @@ def in_tracked_frames(known: TrackedCandidate, frames: Sequence[int]) -> Tracked
 
 
 def in_live_frames(answer: Answer, frames: Sequence[int], count: int) -> TrackedCandidate:
-    """Convert the chosen candidate to the live frames; it rests in untracked frames.
-
-    Args:
-        answer: answer of a search.
-        frames: frames in which the action was tracked.
-        count: number of frames of the recording.
-    """
+    """Convert the chosen candidate to the live frames; it rests in untracked frames."""
     best, rows = answer.best, np.array(frames)
     records = StepRecords.empty(count)
     for name in StepRecords.__annotations__:
@@ -115,9 +104,6 @@ class SearchBeside:
 
     def answers(self, *, wait: bool) -> Iterator[tuple[Asked, Answer | str]]:
         """Yield the new answers in the order of the actions.
-
-        Args:
-            wait: whether to wait until the queue is empty.
 
         Yields:
             The action, and its answer or the reason why there is none.

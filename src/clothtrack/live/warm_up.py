@@ -21,14 +21,7 @@ _RESTING_M = 0.0015
 
 @cache
 def warm_up(make: Callable[..., Any], mode: ModeName, color: bool, device: str) -> None:
-    """Track a lifted towel corner with every step of a mode, once per process.
-
-    Args:
-        make: class of the tracker.
-        mode: mode of the configuration.
-        color: whether points are followed.
-        device: device to compute on.
-    """
+    """Track a lifted towel corner with every step of a mode, once per process."""
     towel = garment("towel", vertex_count=150, size_m=(0.15, 0.15))
     vertices = towel.vertices + (0.0, 0.0, _RESTING_M - towel.vertices[:, 2].min())
     towel = towel.with_vertices(vertices - np.append(vertices[:, :2].mean(axis=0), 0.0))

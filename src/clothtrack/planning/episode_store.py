@@ -48,11 +48,6 @@ class EpisodeStore:
     ) -> None:
         """Begin an episode, or resume the one in the folder.
 
-        Args:
-            folder: folder of the episode.
-            asked: all settings that the episode depends on; they must match a stored episode.
-            weights: weights files; their names are stored with commit and versions.
-
         Raises:
             InvalidConfigError: the folder holds an episode with other settings.
             InvalidResultError: its document is damaged.

@@ -111,13 +111,7 @@ class Planner:
         self._coarse: list[tuple[ClothMesh, Coarsener]] = []
 
     def decide(self, hypothesis: Hypothesis, seen: SeenCloth, rng: np.random.Generator) -> Decision:
-        """Choose the next action.
-
-        Args:
-            hypothesis: estimated cloth state.
-            seen: visible cloth, on which the picks lie.
-            rng: random generator of the candidates.
-        """
+        """Choose the next action."""
         clock, cpu = time.perf_counter(), time.process_time()
         cloth = self._coarsened(hypothesis, seen.table_height_m)
         tried = sample_actions(

@@ -269,10 +269,10 @@ def _fitted_table(
         fit = fit_plane(*sight_lines(beside, camera, stride=stride))
         return world_from_table(camera, fit), fit.residual_m
     except InvalidRecordingError as error:
-        raise InvalidRecordingError(
-            f"{name}: {error}; a mask says it, and --table-distance is for a camera that looks "
-            "straight down"
-        ) from error
+        remedy = "--table-distance is for a camera that looks straight down"
+        if cloth is None:
+            remedy = f"--mask says what is cloth, and {remedy}"
+        raise InvalidRecordingError(f"{name}: {error}; {remedy}") from error
 
 
 def _usual_depth(depth: Float[np.ndarray, "height width"], name: str) -> float:

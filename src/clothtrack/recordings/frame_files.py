@@ -51,8 +51,8 @@ def find_frames(
             words = f"the frame stands at place {index}; sort the frames or drop the field"
             violations.add(f"{field}.index", shown(entry["index"]), words)
         if frames and time_s <= frames[-1].time_s:
-            problem = f"not after the frame before it ({frames[-1].time_s} s)"
-            words = f"{problem}; sort the frames by time and drop doubles"
+            problem = f"not after that of frames[{index - 1}] ({frames[-1].time_s} s)"
+            words = f"{problem}; sort the frames by time, or add what a clock was set back by"
             violations.add(f"{field}.time_s", shown(time_s), words)
         if entry.keys() & set(_FILE_KINDS):
             files = {kind: _named_files(folder, entry.get(kind, {}), f"{field}.{kind}",

@@ -23,10 +23,10 @@ _CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write 
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
-    """Return the mesh of an OBJ file [m]; polygons are cut into fans, vertices keep their order.
+    """Return the mesh of an OBJ file [m]; its polygons are cut up, its vertices keep their order.
 
-    Only `v` and `f` lines count. Vertices at the same place are refused instead of merged, because
-    merging would renumber the vertices.
+    Only `v` and `f` lines count; remarks may be in any encoding. Vertices at the same place are
+    refused instead of merged, because merging would renumber the vertices.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
@@ -37,7 +37,7 @@ def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
                 if words[0] == "v":
                     vertices.append(_vertex(words[1:]))
                 else:
-                    faces.extend(_fan(words[1:], len(vertices)))
+                    faces.extend(_triangles(words[1:], vertices))
             except ValueError as error:
                 raise InvalidRecordingError(
                     f"{path}: line {number} is {line.strip()[:60]!r}: {error}; re-export the mesh"
@@ -142,12 +142,11 @@ def held_problem(held: Int[np.ndarray, " held"], vertex_count: int) -> str | Non
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        # Names and remarks may be in an older encoding; numbers are read in all of them.
+        return path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         why = why_unreadable(error, "add the file or drop it from the recording")
         raise InvalidRecordingError(f"{path}: {why}") from error
-    except UnicodeDecodeError as error:
-        raise InvalidRecordingError(f"{path}: not a text file; write UTF-8") from error
 
 
 def _vertex(words: list[str]) -> list[float]:
@@ -156,15 +155,43 @@ def _vertex(words: list[str]) -> list[float]:
     return [float(word) for word in words[:3]]
 
 
-def _fan(words: list[str], count: int) -> list[list[int]]:
+def _triangles(words: list[str], vertices: list[list[float]]) -> list[list[int]]:
     # OBJ counts from 1, or from the end with negative numbers; "3/1/2" also names uv and normal.
     named = [int(word.split("/")[0]) for word in words]
     if len(named) < 3:
         raise ValueError("a face needs at least three vertices")
     if 0 in named:
         raise ValueError("OBJ vertices are counted from 1, so there is no vertex 0")
-    corners = [index - 1 if index > 0 else count + index for index in named]
-    return [[corners[0], b, c] for b, c in pairwise(corners[1:])]
+    corners = [index - 1 if index > 0 else len(vertices) + index for index in named]
+    if len(corners) == 3 or not 0 <= min(corners) <= max(corners) < len(vertices):
+        return [[corners[0], b, c] for b, c in pairwise(corners[1:])]
+    points = np.array([vertices[corner] for corner in corners])
+    normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    return [[corners[place] for place in ear] for ear in _ears(points, normal)]
+
+
+def _ears(
+    points: Float[np.ndarray, "corners 3"], normal: Float[np.ndarray, " 3"]
+) -> list[tuple[int, int, int]]:
+    """Cut a polygon into triangles that do not overlap; a convex one becomes a fan."""
+
+    def turn(a: int, b: int, c: int) -> float:
+        return float(np.cross(points[b] - points[a], points[c] - points[a]) @ normal)
+
+    left, ears = list(range(len(points))), []
+    while len(left) > 3:
+        for place in range(1, len(left) + 1):
+            a, b, c = (left[(place + step) % len(left)] for step in (-1, 0, 1))
+            others = (one for one in left if one not in (a, b, c))
+            if turn(a, b, c) > 0.0 and not any(
+                min(turn(a, b, one), turn(b, c, one), turn(c, a, one)) >= 0.0 for one in others
+            ):
+                ears.append((a, b, c))
+                left.remove(b)
+                break
+        else:
+            raise ValueError("this face crosses itself or has no area")
+    return [*ears, (left[0], left[1], left[2])]
 
 
 def _refuse_loose_duplicates(path: Path, positions: Float[np.ndarray, "vertices 3"]) -> None:

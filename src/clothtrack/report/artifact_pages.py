@@ -245,7 +245,8 @@ def _index_row(entry: IndexEntry) -> str:
     return (
         f"<tr><td>{picture}</td><th>{_link(entry)}<small>{escape(entry.description)}</small></th>"
         f'<td><b class="word" data-word="{said.verdict.word}" '
-        f'title="{escape(said.verdict.reason, quote=True)}">{said.verdict.word}</b></td>'
+        f'title="{escape(said.verdict.reason, quote=True)}">{said.verdict.word}</b> '
+        f"<small>trusted up to {1e3 * said.verdict.trusted_up_to_m:.0f} mm</small></td>"
         f"{cells}<td>{escape(entry.verdicts)}</td></tr>"
     )
 

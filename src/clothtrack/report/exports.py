@@ -102,15 +102,6 @@ def export_pictures(
 ) -> Path:
     """Write a trajectory drawn over its recording, and return the path with its suffix.
 
-    Args:
-        tracked: the tracked trajectory.
-        recording: recording that it was tracked from.
-        out: file to write; the suffix is added if missing.
-        kind: `sheet`: a PNG with `rows` frames, each observed, tracked over it, and the mesh alone;
-            `mp4`: the tracked mesh over the observation; `rrd`: everything, for Rerun's viewer.
-        rows: number of frames on the sheet.
-        truth: the true meshes; adds the error to an rrd.
-
     Raises:
         InvalidConfigError: rrd without the extra [rerun].
         InvalidResultError: the truth is of another garment or another recording.

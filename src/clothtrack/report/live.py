@@ -32,10 +32,6 @@ class Decisions:
     def take(self, action: Any, verdict: Any) -> None:
         """Write one decision to disk, then apply it.
 
-        Args:
-            action: number of the action, as sent by a page.
-            verdict: a `Verdict`, as sent by a page.
-
         Raises:
             InvalidConfigError: there is no such label, or no such verdict.
             StorageError: the disk refuses; earlier decisions are kept.

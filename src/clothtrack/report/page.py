@@ -102,11 +102,11 @@ def write_report(
         wide=len(overlay.views) > 1,
         actions=actions,
     )
-    labels = review_card(tracked, review or LabelReview.blank(tracked), judged)
+    verdict = verdict_of(tracked, recording, judged) if judged else None
+    labels = review_card(tracked, review or LabelReview.blank(tracked), verdict)
     drawn = charts(tracked, evidence.rms_mm, evidence.floor_mm)
     body = f"""{lead_line(tracked, recording)}
-{verdict_strip(judged)}
-{evidence_card(verdict_of(tracked, recording, judged)) if judged else ""}
+{verdict_strip(verdict, len(judged)) + evidence_card(verdict) if verdict else ""}
 {upper}
 {labels}
 {key_figures(figures_of(tracked, evidence, edge_strains(tracked)))}

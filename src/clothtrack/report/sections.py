@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import StorageError
-from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.evaluation.label_review import REVIEW_SUFFIX, LabelReview
 from clothtrack.evaluation.metrics import root_mean_square_mm
-from clothtrack.evaluation.verdict import LIMITS, Evidence, Verdict, verdict
+from clothtrack.evaluation.verdict import LIMITS, Evidence, Verdict
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.curves import Chart, Line
@@ -274,15 +273,13 @@ _EXPECTED_HELP = (
 )
 
 
-def review_card(
-    tracked: TrackedTrajectory, review: LabelReview, judged: Sequence[LabelQuality]
-) -> str:
+def review_card(tracked: TrackedTrajectory, review: LabelReview, verdict: Verdict | None) -> str:
     """Return the card with buttons for each label and for saving the review."""
     if not review.labels:
         return ""
     rows = []
     for label, action in zip(review.labels, tracked.actions, strict=True):
-        text = _quality_cell(judged[label.action]) if judged else "not judged"
+        text = _quality_cell(verdict.of_label(label.action)) if verdict else "not judged"
         rows.append(
             f'<tr data-action="{label.action}" data-first="{action.first_frame}">'
             f'<th><button type="button" class="jump">Label {label.action + 1}</button></th>'
@@ -308,27 +305,19 @@ def review_card(
     )
 
 
-def verdict_strip(judged: Sequence[LabelQuality]) -> str:
+def verdict_strip(verdict: Verdict, labels: int) -> str:
     """Return the verdicts of all labels in a row; the page's script marks the current one."""
-    if not judged:
-        return ""
     chips = "".join(
-        f'<button type="button" class="chip" data-mark="{label.action}" '
-        f'data-word="{verdict(label).word}" title="{_word_help(verdict(label))} {_EXPECTED_HELP}">'
-        f"Label {label.action + 1} <b>{verdict(label).word}</b> <span>{_error(label)}</span>"
-        '<small class="decided"></small></button>'
-        for label in judged
+        f'<button type="button" class="chip" data-mark="{action}" data-word="{found.word}" '
+        f'title="{_word_help(found)} {_EXPECTED_HELP}">Label {action + 1} <b>{found.word}</b> '
+        f'<span>{_error(found)}</span><small class="decided"></small></button>'
+        for action, found in ((one, verdict.of_label(one)) for one in range(labels))
     )
     return f'<div class="verdicts">{chips}</div>'
 
 
 def evidence_card(found: Verdict, of: str = "recording") -> str:
-    """Return a verdict, with the evidence against the mesh first.
-
-    Args:
-        found: the verdict.
-        of: subject of evidence that is not about a single label.
-    """
+    """Return a verdict, with the evidence against the mesh first."""
     against = [one for one in found.evidence if one.word != "trust"]
     for_it = [one for one in found.evidence if one.word == "trust"]
     remedy = f"<p>What helps: <code>{escape(found.remedy)}</code></p>" if found.remedy else ""
@@ -358,29 +347,27 @@ def _evidence_row(one: Evidence, of: str) -> str:
     )
 
 
-def _quality_cell(judged: LabelQuality) -> str:
+def _quality_cell(found: Verdict) -> str:
     """Return the verdict and expected error of a label, with tooltips."""
-    if not np.isfinite(judged.expected_error_mm):
-        return "nothing was seen to judge it by"
-    found = verdict(judged)
     return (
         f'<b class="word" data-word="{found.word}" title="{_word_help(found)}">{found.word}</b> '
-        f'<span title="{_EXPECTED_HELP}">expected error {_error(judged)}</span>'
+        f'<span title="{_EXPECTED_HELP}">expected error {_error(found)}</span>'
     )
 
 
-def _error(judged: LabelQuality) -> str:
-    error = judged.expected_error_mm
-    return f"{error:.1f} mm" if np.isfinite(error) else "not seen"
+def _error(found: Verdict) -> str:
+    if not np.isfinite(found.expected_error_m):
+        return "not seen"
+    error, limit = 1e3 * found.expected_error_m, 1e3 * found.trusted_up_to_m
+    return f"{error:.1f} mm, trusted up to {limit:.0f}"
 
 
 def _word_help(found: Verdict) -> str:
-    error = LIMITS["expected error"]
     meaning = {
-        "trust": f"Expected to be at most {1e3 * error.look:g} mm off: use it.",
+        "trust": f"Expected to be at most {1e3 * found.trusted_up_to_m:.0f} mm off: use it.",
         "look": "Look at it before it is used.",
-        "reject": f"Expected to be more than {1e3 * error.reject:g} mm off, or nothing was seen: "
-        "leave it out.",
+        "reject": f"Expected to be more than {1e3 * LIMITS['expected error'].reject:g} mm off, or "
+        "nothing was seen: leave it out.",
     }[found.word]
     return escape(f"{meaning} Because: {found.reason}.", quote=True)
 

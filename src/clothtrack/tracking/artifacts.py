@@ -31,12 +31,6 @@ def require_own(
 ) -> None:
     """Refuse a recording of another name and content than the trajectory was tracked from.
 
-    Args:
-        tracked: the tracked trajectory.
-        recording: the recording that was given for it.
-        artifact: path of the tracked trajectory, for the message.
-        folder: path of the recording, for the message.
-
     Raises:
         InvalidRecordingError: it is another one.
     """
@@ -50,14 +44,7 @@ def require_own(
 def warn_of_age(
     tracked: "TrackedTrajectory", recording: "Recording", *, artifact: Path, folder: Path
 ) -> None:
-    """Warn if a recording was changed since it was tracked, or is another one of the same name.
-
-    Args:
-        tracked: the tracked trajectory.
-        recording: the recording that is assumed to belong to it.
-        artifact: path of the tracked trajectory, for the message.
-        folder: path of the recording, for the message.
-    """
+    """Warn if a recording was changed since it was tracked, or is another one of the same name."""
     if not _is_unchanged(tracked, recording):
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "

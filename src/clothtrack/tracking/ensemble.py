@@ -48,11 +48,6 @@ def mean_end(
 ) -> Float[np.ndarray, "all_or_none 3"]:
     """Return the mean of several final meshes [m], weighted by how well each fits.
 
-    Args:
-        ends: vertices at the last frame.
-        scores: score of each mesh, above 0, lower is better; a score that is not finite has
-            weight 0.
-
     Returns:
         The mean; empty if fewer than two meshes have a weight above 0.
     """

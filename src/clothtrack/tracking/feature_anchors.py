@@ -42,22 +42,12 @@ class FeatureAnchors:
         mesh: ClothMesh,
         visible: Callable[[Float[np.ndarray, "vertices 3"]], Bool[np.ndarray, " vertices"]],
     ) -> None:
-        """Begin with nothing bound.
-
-        Args:
-            mesh: the flat first mesh.
-            visible: returns which vertices some camera sees.
-        """
+        """Begin with nothing bound."""
         self._faces, self._visible = mesh.faces, visible
         self.bound: dict[int, tuple[int, np.ndarray]] = {}
 
     def bind(self, state: State, observation: Observation) -> None:
-        """Bind the points that are followed here and not yet bound; lost ones may come back.
-
-        Args:
-            state: the cloth at the first frame of an action.
-            observation: the observation of that frame.
-        """
+        """Bind the points that are followed here and not yet bound; lost ones may come back."""
         numbers = observation.followed.numbers
         fresh = np.array([number not in self.bound for number in numbers.tolist()], dtype=bool)
         positions = state.positions[0].astype(np.float64)

@@ -69,12 +69,6 @@ class FinalAlignment:
     ) -> tuple[ClothState, tuple[float, float]]:
         """Return the state that the next action starts from: aligned, at rest, contacts kept.
 
-        Args:
-            state: the cloth at the last frame of an action.
-            theta: its parameters, used to apply a correction.
-            observation: the cloud of that frame.
-            held: whether a picker still holds the cloth; then it is not slid.
-
         Returns:
             The state, and the objective [m^2] before and after; NaN if there was no cloud.
         """

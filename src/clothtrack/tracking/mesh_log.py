@@ -19,12 +19,7 @@ class MeshLog:
     """
 
     def __init__(self, vertices: int, *, on_disk: bool = False) -> None:
-        """Begin without a mesh.
-
-        Args:
-            vertices: number of vertices of every mesh.
-            on_disk: keep the meshes in a file.
-        """
+        """Begin without a mesh."""
         self._shape = (vertices, 3)
         self._on_disk, self._count = on_disk, 0
         self._file: IO[bytes] = io.BytesIO()

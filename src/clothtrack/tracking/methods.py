@@ -144,13 +144,7 @@ class Components:
     def aligner(
         self, solver: Literal["adam", "icp"], *, icp_tolerance: float = 0.0, **attached: bool
     ) -> VisibleAlignment:
-        """Return an alignment of the visible vertices with the weights of the configuration.
-
-        Args:
-            solver: as in `AlignmentConfig`.
-            icp_tolerance: as in `AlignmentConfig`.
-            attached: which vertices a pseudo-action attaches (`VisibleAlignment`).
-        """
+        """Return an alignment of the visible vertices with the weights of the configuration."""
         alignment = AlignmentConfig(
             **asdict(self.config.objective), solver=solver, icp_tolerance=icp_tolerance,
             marks_weight=_ANCHOR_WEIGHT if self.config.color else 0.0,

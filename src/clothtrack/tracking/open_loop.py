@@ -54,14 +54,7 @@ class OpenLoopScore:
     def __call__(
         self, state: ClothState, action: PickAndPlace, held: HeldCloth, thetas: Sequence[Theta]
     ) -> list[float]:
-        """Return the Chamfer distance [m^2] of each candidate from the last cloud.
-
-        Args:
-            state: the cloth at the action's first frame.
-            action: the pick-and-place.
-            held: what the pickers hold.
-            thetas: the candidates.
-        """
+        """Return the Chamfer distance [m^2] of each candidate from the last cloud."""
         parts = [thetas[at : at + self.widest] for at in range(0, len(thetas), self.widest)]
         return [score for part in parts for score in self._scores(state, action, held, part)]
 

@@ -24,6 +24,9 @@ sum of picker radius, threshold and particle radius is 0.02125."""
 _COLUMN_M = 0.01
 """Horizontal reach of a tip, within which layers are distinguished [m]."""
 
+_LONGEST_PAUSE_S = 2.0
+"""Cloth that nothing holds is at rest after this time [s]; a longer pause is not simulated."""
+
 _KNOTS_PER_FRAME = 5
 """Waypoints at which the recorded path is sampled inside one frame; linear between them."""
 
@@ -120,7 +123,10 @@ class HeldCloth:
     def action(self, start_s: float, end_s: float) -> PickerAction:
         """Return a_t: what the closed pickers do between two times [s]."""
         motion = held_motion(self.grasps, start_s, end_s, self.offset)
-        return PickerAction(motion, end_s - start_s, picker_speed(self.grasps, start_s, end_s))
+        duration_s = end_s - start_s
+        if motion is None:
+            duration_s = min(duration_s, _LONGEST_PAUSE_S)
+        return PickerAction(motion, duration_s, picker_speed(self.grasps, start_s, end_s))
 
     def closed_at(self, time_s: float) -> bool:
         """Return whether any picker holds cloth at this time [s]."""
@@ -147,15 +153,7 @@ def pick(
     recording: Recording,
     mesh: ClothMesh,
 ) -> HeldCloth:
-    """Return what the pickers of an action grasp, given the cloth at its start.
-
-    Args:
-        action: the pick-and-place.
-        state: the cloth at its first frame.
-        theta: number of held layers, and the grasp's offset.
-        recording: contains the picker paths and, if known, the held vertices.
-        mesh: the cloth's topology.
-    """
+    """Return what the pickers of an action grasp, given the cloth at its start."""
     cloth = mesh.with_vertices(state.positions[0].astype(np.float64))
     grasps = find_grasps(recording, action, cloth, theta.held_layers)
     return HeldCloth(grasps, np.array([0.0, 0.0, theta.grasp_offset_z_m]))

@@ -8,8 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from clothtrack.errors import (
     InvalidConfigError,
@@ -25,7 +28,11 @@ from clothtrack.files.worker_pool import require_workers
 from clothtrack.recordings.camera_view import CameraView, camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.camera_checks import unit_findings
-from clothtrack.recordings.geometry_checks.clock_checks import time_findings
+from clothtrack.recordings.geometry_checks.clock_checks import (
+    gap_remedy,
+    held_over,
+    time_findings,
+)
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer
@@ -47,6 +54,9 @@ logger = logging.getLogger(__name__)
 _CLOUDS_KEPT = 256
 """Maximum number of clouds in memory, about 100 MB with pictures of 640 x 480. Other clouds are
 read and segmented again when they are needed."""
+
+_LONGEST_HELD_GAP_S = 10.0
+"""Longest time without a frame in which a picker may hold cloth [s]."""
 
 Judge = Callable[..., Mapping[str, Any]]
 """Return the verdict on a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
@@ -148,8 +158,9 @@ def track_recording(
 
     Raises:
         InvalidConfigError: Algorithm 1 has no function of that name.
-        InvalidRecordingError: the first mesh is far from its cloud, or times or depths are not in
-            the stated units, and `force` is not set.
+        InvalidRecordingError: a picker holds the cloth for longer than 10 s without a frame; or the
+            first mesh is far from its cloud, or times or depths are not in the stated units, and
+            `force` is not set.
     """
     for name in (parts := parts or {}):
         if name not in _PARTS:
@@ -158,6 +169,7 @@ def track_recording(
             )
     if not force:
         _refuse_wrong_units(recording)
+    _refuse_held_gaps(recording)
     clock = time.process_time()
     stamp = provenance(recording, config, device)
     reducer = PictureReducer(recording)
@@ -207,14 +219,6 @@ def checked_initial_state(
 ) -> tuple[InitialState, float | None]:
     """Return the cloth that tracking starts from, and its distance from its cloud (rms) [m].
 
-    Args:
-        recording: as for `find_initial_state`.
-        observation: as for `find_initial_state`.
-        config: as for `find_initial_state`.
-        segmenter: as for `find_initial_state`.
-        device: as for `find_initial_state`.
-        force: also accept a mesh that is far from its cloud.
-
     Raises:
         InvalidRecordingError: the mesh is far from its cloud, and `force` is not set; and as for
             `find_initial_state`.
@@ -242,6 +246,21 @@ def _refuse_wrong_units(recording: Recording) -> None:
         raise InvalidRecordingError(
             f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
         )
+
+
+def _refuse_held_gaps(recording: Recording) -> None:
+    """Reject an action with held cloth that was not seen for long: simulating a day takes days."""
+    for number, action in enumerate(recording.actions):
+        times = [one.time_s for one in recording.frames[action.first_frame : action.last_frame + 1]]
+        for frame, (before, after) in enumerate(pairwise(times), start=action.first_frame):
+            if after - before <= _LONGEST_HELD_GAP_S or not (name := held_over(recording, frame)):
+                continue
+            raise InvalidRecordingError(
+                f"{recording.folder}: stopped, picker {name!r} holds the cloth for "
+                f"{after - before:.6g} s without a frame between frames {frame} and {frame + 1} of "
+                f"action {number + 1} (at most {_LONGEST_HELD_GAP_S:g}): "
+                f"{gap_remedy(frame, after - before - float(np.median(np.diff(times))))}"
+            )
 
 
 def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:

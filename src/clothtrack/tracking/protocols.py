@@ -67,13 +67,7 @@ class Dynamics(Protocol):
     def __call__(
         self, state: State, action: PickerAction, pseudo_action: Attachment | None = None
     ) -> Prediction:
-        """Roll the cloth out for the duration of an action.
-
-        Args:
-            state: the cloth at the start.
-            action: what the pickers do.
-            pseudo_action: targets of observed vertices at the end.
-        """
+        """Roll the cloth out for the duration of an action."""
         ...
 
     def predict(self, state: State, action: PickerAction) -> Prediction:

@@ -47,14 +47,7 @@ class PicturesAtRest:
     observe: Observe
 
     def __call__(self, action: PickerAction, tracked_at: Frame, frame: Frame) -> bool:
-        """Return whether the cloth has not moved since it was last tracked.
-
-        Args:
-            action: what the pickers do until the frame.
-            tracked_at: the last frame into which the mesh was moved. It is the reference instead
-                of the previous frame, so that slow motion adds up until it is detected.
-            frame: the frame.
-        """
+        """Return whether the cloth has not moved since it was last tracked."""
         if action.motion is not None:
             return False
         cameras = [

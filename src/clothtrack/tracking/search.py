@@ -130,16 +130,7 @@ def coordinate_descent(
     stop_score: float = 0.0,
     min_improvement: float = 0.0,
 ) -> Proposal:
-    """Propose the values of one axis after another; choose a minimum along every axis.
-
-    Args:
-        axes: values to try.
-        start: the previous action's optimum; the search begins at the nearest values.
-        sweeps: maximum passes over the axes.
-        stop_score: end as soon as the best score is at most this; 0: never.
-        min_improvement: move to another candidate only if its score is lower by this fraction.
-            Smaller differences are noise and would bias the next action.
-    """
+    """Propose the values of one axis after another; choose a minimum along every axis."""
     best = tuple(_nearest(values, getattr(start, name)) for name, values in axes.items())
     for _ in range(sweeps):
         before = best

@@ -117,11 +117,6 @@ def only_at(frames: Collection[int], observe: Observe, recording: Recording) -> 
     """Return an observer of only these frames; all others give an empty observation.
 
     Reading unused pictures costs a sixth of an open-loop run.
-
-    Args:
-        frames: indices of the observed frames.
-        observe: returns the cloud of a frame.
-        recording: provides the cameras.
     """
     nothing = Observation(np.zeros((0, 3)), recording.cameras, {}, None, np.zeros((0, 3)), 0.0)
     return lambda frame: observe(frame) if frame.index in frames else nothing

@@ -86,7 +86,7 @@ def calibrate_camera(
     doubt = placement_doubt(placement)
     doubts = (
         f"{place}: {doubt}: is the plane found the table? Let a bare table fill the picture, or "
-        "give a board with --charuco",
+        f"give a board with --charuco{' instead of --keep-world' if keep_world else ''}",
     )
     result = Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
     return reported(recording, changed, result)

@@ -74,7 +74,7 @@ class PublishedMeshes:
         if weights.kind != kind:
             raise InvalidResultError(
                 f"{weights.path} is for {weights.kind!r:.80}, the picture shows {kind!r}; give "
-                "other weights, or say what it is with --garment"
+                f"weights for that, or --garment {weights.kind!s:.80} if it shows one"
             )
         model = MeshReconstructor(network_of(weights), kind)
         weights.load_into(model)

@@ -23,6 +23,9 @@ _LEAST_GAP_S = 0.25
 _LEAST_GAP_M = 0.05
 """A gap matters if a closed tip moves this far in it [m], because the cloth was not seen."""
 
+_JUMP, _LEAST_JUMP_S = 100.0, 1.0
+"""A step is a jump of the clock above this multiple of the median step, and this time [s]."""
+
 _GAP_SAMPLES = 30
 """Number of times within a gap at which the picker's path is sampled."""
 
@@ -89,23 +92,51 @@ def _speed_m_s(recording: Recording) -> float | None:
 
 
 def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
-    """Return a finding for the first gap between frames in which a closed picker moves on."""
-    limit_s = max(_LARGEST_GAP * float(np.median(np.diff(times))), _LEAST_GAP_S)
+    """Return the first jump of the clock, and the first gap in which a closed picker moves on."""
+    middle_s = float(np.median(np.diff(times)))
+    gap_s, jump_s = max(_LARGEST_GAP * middle_s, _LEAST_GAP_S), max(_JUMP * middle_s, _LEAST_JUMP_S)
+    found: dict[str, Finding] = {}
     for frame, (before, after) in enumerate(pairwise(times.tolist())):
-        if after - before <= limit_s:
+        step_s, field = after - before, f"frames[{frame + 1}]: time_s"
+        if step_s > jump_s and "clock_jump" not in found:
+            found["clock_jump"] = Finding(
+                "clock_jump", step_s, jump_s, "s", field,
+                f"time_s steps by {step_s:.6g} s from frame {frame} to frame {frame + 1} (at most "
+                f"{jump_s:.3g}): {gap_remedy(frame, step_s - middle_s)}",
+                severity="doubt" if held_over(recording, frame) else "note",
+            )  # fmt: skip
+        if not gap_s < step_s <= jump_s or "frame_gap" in found:
             continue
-        for path in recording.picker_paths.values():
-            gone_m = _carried_m(path, before, after)
-            if gone_m > _LEAST_GAP_M:
-                return [
-                    Finding(
-                        "frame_gap", after - before, limit_s, "s", f"frames[{frame + 1}]: time_s",
-                        f"no frame for {after - before:.2f} s after frame {frame} (at most "
-                        f"{limit_s:.2f}), while the closed picker goes {100 * gone_m:.0f} cm: "
-                        "record without gaps, or end the action at the gap",
-                    )
-                ]  # fmt: skip
-    return []
+        gone_m = max((_carried_m(one, before, after) for one in recording.picker_paths.values()),
+                     default=0.0)  # fmt: skip
+        if gone_m > _LEAST_GAP_M:
+            found["frame_gap"] = Finding(
+                "frame_gap", step_s, gap_s, "s", field,
+                f"no frame for {step_s:.2f} s after frame {frame} (at most {gap_s:.2f}), while the "
+                f"closed picker goes {100 * gone_m:.0f} cm: record without gaps, or end the action "
+                "at the gap",
+            )  # fmt: skip
+    return list(found.values())
+
+
+def gap_remedy(frame: int, extra_s: float) -> str:
+    """Return what to do about a step after a frame that is longer than usual by a time [s]."""
+    return (
+        f"if the clock was set, subtract {extra_s:.6g} from all later time_s of recording.json and "
+        f"picker.csv; if the camera paused, let no action last beyond frame {frame}"
+    )
+
+
+def held_over(recording: Recording, frame: int) -> str:
+    """Return the picker of an action that is closed between a frame and the next, or nothing."""
+    start_s, end_s = (recording.frames[place].time_s for place in (frame, frame + 1))
+    for action in recording.actions:
+        for name in action.pickers if action.first_frame <= frame < action.last_frame else ():
+            path = recording.picker_paths[name]
+            inside = (path.time_s > start_s) & (path.time_s < end_s)
+            if path.closed_at(start_s) or path.closed[inside].any():
+                return name
+    return ""
 
 
 def _carried_m(path: PickerPath, start_s: float, end_s: float) -> float:

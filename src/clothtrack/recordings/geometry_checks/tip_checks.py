@@ -50,8 +50,9 @@ _STANDS_HIGH_M = 0.015
 _ROSE_M = 0.01
 """Heights above the table, and above the usual height at a pixel, of something that came [m]."""
 
-_FROM_CLOTH_M = 0.012
-"""Things nearer to points of the cloth [m] may be cloth."""
+_FROM_CLOTH_M, _LEAST_POINTS = 0.012, 15
+"""Things nearer to this many points of the cloth [m] may be cloth. A sheet has 28 there; what a
+camera mixes of cloth and the rim of a tool over it has at most 13."""
 
 _HALF_THICKNESS_M = 0.025
 """Least half thickness of a hand or gripper [m]; tips of thinner tools are often not measured."""
@@ -249,7 +250,8 @@ class _Hands:
         points = local @ camera.world_from_camera[:3, :3].T + camera.position
         # A tree with a single query is not worth balancing.
         cloth = cKDTree(seen.points, compact_nodes=False, balanced_tree=False)
-        other = cloth.query(points)[0] > _FROM_CLOTH_M
+        nearest = cloth.query(points, [_LEAST_POINTS], distance_upper_bound=_FROM_CLOTH_M)[0]
+        other = np.isinf(nearest[:, 0])
         if not other.any():
             return None
         came[rows[~other], columns[~other]] = False
