@@ -16,6 +16,7 @@ from clothtrack_capture.importing.topics import topic_list
 
 PICKER = "picker"
 _CLOCKS_DIFFER_NS = 10**9
+_LONGEST_UNKNOWN_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str)
         if not target or not tree.connects(target, options.picker_frame):
             raise InvalidConfigError(
                 f"{path}: no TF ties --picker-frame {options.picker_frame!r} to {target!r}; "
-                f"frames: {', '.join(tree.frames) or 'none'}; name the world with --world-frame"
+                f"frames: {', '.join(tree.frames) or 'none'}; name one of them"
             )
         times = tree.moments(target, options.picker_frame)
         positions = tree.lookup(target, options.picker_frame, times)[:, :3, 3]
@@ -63,6 +64,9 @@ def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str)
         )
     closed = np.zeros(len(times), dtype=bool)
     notes = []
+    if walk.without_position:
+        notes.append(f"{walk.without_position} poses of {options.picker_topic} are not numbers "
+                     "and were left out")  # fmt: skip
     if options.gripper_topic is not None:
         origins["gripper"] = options.gripper_topic
         closed, notes = _closed(path, walk, options, times)
@@ -93,6 +97,14 @@ def _from_topic(
         # No transform connects its frame to the camera's. The user must say whether it is the
         # world.
         return times, positions, "camera" if origin and origin == target else repr(origin)
+    known = walk.tree.moments(target, origin)
+    unknown_s = max(known[0] - times[0], times[-1] - known[-1]) / 1e9 if len(known) > 1 else 0.0
+    if unknown_s > _LONGEST_UNKNOWN_S:
+        raise InvalidConfigError(
+            f"{path}: TF from {origin!r} to {target!r} is known from {known[0] / 1e9:.3f} to "
+            f"{known[-1] / 1e9:.3f} s, the positions from {times[0] / 1e9:.3f} to "
+            f"{times[-1] / 1e9:.3f} s; record /tf as long as {topic}"
+        )
     poses_at = walk.tree.lookup(target, origin, times)
     moved = np.einsum("tij,tj->ti", poses_at[:, :3, :3], positions) + poses_at[:, :3, 3]
     return times, moved, frame
@@ -123,12 +135,12 @@ def _closed(
             f"{options.gripper_topic} has no time stamps of its own; its times of writing were "
             f"moved by {-gap / 1e9:.3f} s to the clock of the pictures"
         )
-    if options.gripper_closed_below is not None and (what.all() or not what.any()):
-        always = "closed" if what.all() else "open"
-        values = [grip for _, grip in told]
+    if what.all() or not what.any():
+        values, limit = [grip for _, grip in told], options.gripper_closed_below
+        limits = "" if limit is None else f", --gripper-closed-below is {limit:g}"
         notes.append(
-            f"the gripper is {always} all the time: its values are {min(values):g} to "
-            f"{max(values):g}, --gripper-closed-below is {options.gripper_closed_below:g}"
+            f"the gripper is {'closed' if what.all() else 'open'} all the time: its values are "
+            f"{float(min(values)):g} to {float(max(values)):g}{limits}"
         )
     return what[last], notes
 

@@ -71,7 +71,8 @@ class Walk:
     """What one pass through a bag finds, by topic name; pictures in the order of writing.
 
     `infos` and `heard` hold the first message; `changed` says what it does not stand for.
-    `poses` are (time [ns], frame, position [m]), `grips` (time [ns], message).
+    `poses` are (time [ns], frame, position [m]), `grips` (time [ns], message); `marks` has the
+    stamps of the robot's messages, beside their times of writing.
     """
 
     pose_topic: str | None = None
@@ -85,22 +86,25 @@ class Walk:
     tree: TransformTree = field(default_factory=TransformTree)
     poses: list[tuple[int, str, tuple[float, float, float]]] = field(default_factory=list)
     grips: list[tuple[int, Any]] = field(default_factory=list)
+    marks: dict[str, list[StreamFrame]] = field(default_factory=dict)
+    without_position: int = 0
     gaps_ns: list[int] = field(default_factory=list)
     info_bytes: dict[str, bytes] = field(default_factory=dict)
-    _latest_ns: int = -(2**63)
-    _shift_ns: int = 0
+    _clocks: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def clock_gap_ns(self) -> int:
         """Write time minus header time [ns], median over the first pictures."""
         return sorted(self.gaps_ns)[len(self.gaps_ns) // 2] if self.gaps_ns else 0
 
-    def written_ns(self, log_ns: int) -> int:
+    def written_ns(self, topic: str, log_ns: int) -> int:
         """Return a time of writing [ns] that goes on where the writer's clock was set back."""
-        if log_ns + self._shift_ns < self._latest_ns - _SET_BACK_NS:
-            self._shift_ns = self._latest_ns + _STEP_NS - log_ns
-        self._latest_ns = max(self._latest_ns, log_ns + self._shift_ns)
-        return log_ns + self._shift_ns
+        # Each topic by itself: some programs write one topic after the other.
+        latest, shift = self._clocks.get(topic, (log_ns, 0))
+        if log_ns + shift < latest - _SET_BACK_NS:
+            shift = latest + _STEP_NS - log_ns
+        self._clocks[topic] = max(latest, log_ns + shift), shift
+        return log_ns + shift
 
 
 def in_time_order(containers: Sequence[Container]) -> list[Container]:
@@ -120,9 +124,11 @@ def walk(
     result = Walk(pose_topic, grip_topic, written)
     spans: list[tuple[int, int, Container]] = []
     for part, container in enumerate(containers):
-        first = last = None
+        times: list[int] = []
         for message in _messages(container):
-            first, last = first or message.log_ns, message.log_ns
+            # Other topics may repeat an old message at the start of a part.
+            if is_picture(message.topic):
+                times.append(message.log_ns)
             try:
                 _note(result, container, message, part)
             except TruncatedError as error:
@@ -130,10 +136,11 @@ def walk(
                     f"{container.path}: a message cannot be read ({error}); name another topic, or "
                     "copy the bag again"
                 ) from error
-        spans.append((first or 0, last or 0, container))
+        if times:
+            spans.append((min(times), max(times), container))
         known = {topic.name for topic in result.topics}
         result.topics += [topic for topic in container.topics() if topic.name not in known]
-    if not all(
+    if not _is_listed(path, spans) and not all(
         -_PART_OVERLAP_NS <= start - end <= _PART_GAP_NS
         for (_, end, _), (start, _, _) in pairwise(spans)
     ):
@@ -149,6 +156,13 @@ def walk(
     return result
 
 
+def _is_listed(path: Path, spans: Sequence[tuple[int, int, Container]]) -> bool:
+    """Return whether the recorder says that the files are parts of one bag."""
+    file = path / "metadata.yaml"
+    text = file.read_text(errors="replace") if file.is_file() else ""
+    return all(f"- {container.path.name}" in text for _, _, container in spans)
+
+
 def _messages(container: Container) -> Iterator[Message]:
     try:
         yield from container.messages()
@@ -161,7 +175,7 @@ def _messages(container: Container) -> Iterator[Message]:
 
 def _note(result: Walk, container: Container, message: Message, part: int) -> None:
     topic, place = message.topic, message.place._replace(part=part)
-    written_ns = result.written_ns(message.log_ns)
+    written_ns = result.written_ns(topic.name, message.log_ns)
     wanted = topic.name in (result.pose_topic, result.grip_topic)
     stamp = stamp_ns(container, topic, place) if wanted or is_picture(topic) else 0
     time_ns = stamp if stamp and not result.written else written_ns
@@ -170,24 +184,41 @@ def _note(result: Walk, container: Container, message: Message, part: int) -> No
             result.gaps_ns.append(written_ns - time_ns)
         frame = StreamFrame(time_ns, place, written_ns, stamped=bool(stamp))
         result.frames.setdefault(topic.name, []).append(frame)
-    elif topic.kind == CAMERA_INFO:
+    elif not wanted:
+        _note_other(result, container, topic, place, written_ns)
+    if wanted:
+        _mark(result, topic, StreamFrame(time_ns, None, written_ns, stamped=bool(stamp)))
+        content = decode(topic, payload(container, place))
+        if topic.name != result.pose_topic:
+            result.grips.append((time_ns, content))
+        elif (found := position_of(topic, content)) is None:
+            result.without_position += 1
+        else:
+            result.poses.append((time_ns, *found))
+
+
+def _note_other(
+    result: Walk, container: Container, topic: Topic, place: Place, written_ns: int
+) -> None:
+    if topic.kind == CAMERA_INFO:
         _note_info(result, topic, payload(container, place))
     elif topic.kind in _TF_KINDS:
+        static = "static" in topic.name
         for stamped in decode(topic, payload(container, place)).transforms:
-            result.tree.add_message(
-                stamped, written_ns, static="static" in topic.name, written=result.written
+            time_ns = result.tree.add_message(
+                stamped, written_ns, static=static, written=result.written
             )
+            if not static:
+                _mark(result, topic, StreamFrame(time_ns, None, written_ns))
     elif realsense.WANTED.match(topic.name):
         content = decode(topic, payload(container, place))
         first = result.heard.setdefault(topic.name, content)
         if getattr(first, "data", None) != getattr(content, "data", None):
             result.changed[topic.name] = f"{first.data} and later {content.data}"
-    if wanted:
-        content = decode(topic, payload(container, place))
-        if topic.name == result.pose_topic:
-            result.poses.append((time_ns, *position_of(topic, content)))
-        else:
-            result.grips.append((time_ns, content))
+
+
+def _mark(result: Walk, topic: Topic, frame: StreamFrame) -> None:
+    result.marks.setdefault(topic.name, []).append(frame)
 
 
 def _note_info(result: Walk, topic: Topic, data: bytes) -> None:
@@ -199,7 +230,9 @@ def _note_info(result: Walk, topic: Topic, data: bytes) -> None:
     elif data[12:] != result.info_bytes[topic.name] and topic.name not in result.changed:
         first, later = (lens_words(info) for info in (result.infos[topic.name],
                                                       decode(topic, data)))  # fmt: skip
-        if first != later:
+        if not any(result.infos[topic.name].k if topic.cdr else result.infos[topic.name].K):
+            result.infos[topic.name] = decode(topic, data)  # the driver was not ready before
+        elif first != later:
             result.changed[topic.name] = f"{first} and later {later}"
 
 

@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -37,6 +38,7 @@ from clothtrack_capture.importing.times import LARGEST_TOLERANCE_S, Pair, pair, 
 from clothtrack_capture.importing.units import DepthUnit, measured_unit
 
 _MOST_WORKERS = 4
+_FARTHEST_COLOR_M, _FARTHEST_CAMERA_M = 1.0, 100.0
 _BAG = re.compile(r"\.(db3|mcap|bag)( |$)")
 
 
@@ -117,23 +119,37 @@ def _convert(
 ) -> Imported:
     """Write the recording of an opened source."""
     streams = opened.streams
+    if not streams.depth:
+        why = "".join(f" ({note})" for note in streams.notes)
+        raise InvalidRecordingError(
+            f"{source}: not one whole depth picture{why}; record it again, or name others"
+        )
+    moved_m = float(np.linalg.norm(streams.calibration.color_from_depth[:3, 3]))
+    if not moved_m <= _FARTHEST_COLOR_M:
+        raise InvalidRecordingError(
+            f"{source}: the color camera is {moved_m:g} m from the depth camera "
+            f"({streams.calibration.origin}), more than {_FARTHEST_COLOR_M:g} m; give the right "
+            "transform, in meters, with --intrinsics FILE"
+        )
     frames, notes = timed(source, streams, options)
     pairing = pair(source, frames["depth"], frames.get("color"), options)
-    first_ns, last_ns = (pairing.pairs[k].depth.time_ns for k in (0, -1))
-    decoded = (partial(_numbers, opened, one.depth) for one in pairing.pairs)
+    decoded = [partial(_numbers, opened, one.depth) for one in pairing.pairs]
     unit = measured_unit(source, streams.unit, decoded, streams.ask_unit)
+    empty = next((k for k, one in enumerate(decoded) if _shows(one)), 0)
+    if empty:
+        notes.append(f"the first {empty} depth pictures are 0 everywhere and were left out")
+        pairing = replace(pairing, pairs=pairing.pairs[empty:])
+    span_ns = pairing.pairs[0].depth.time_ns, pairing.pairs[-1].depth.time_ns
     if unit.swapped:
         notes.append("the two bytes of each depth stood in the wrong order and were exchanged")
     pose, table = _world(options, streams)
     posed, pose = pose is not None, np.eye(4) if pose is None else pose
-    paths, text = placed_paths(
-        source, streams, options, pose=pose, first_ns=first_ns, last_ns=last_ns, posed=posed
-    )
+    paths, text = placed_paths(source, streams, options, pose=pose, span_ns=span_ns, posed=posed)
     registration = Registration(streams.calibration, unit.stored_m)
     job = _Job(opened, registration, unit)
     with _said_of_the_source(source, streams, unit, options), RecordingWriter(
         folder,
-        [_camera(source, registration, streams, pose)],
+        [_camera(source, registration, streams, options, pose)],
         {CAMERA: unit.stored_m},
         table=table,
         cloth=ClothDescription(kind=options.cloth, color=options.cloth_color),
@@ -148,9 +164,9 @@ def _convert(
         workers = options.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
         times, damaged = _write_frames(writer, job, pairing.pairs, workers, progress)
         if not times:
-            reason, count = damaged.most_common(1)[0]
+            reason = damaged.most_common(1)[0][0]
             raise InvalidRecordingError(
-                f"{source}: none of {count} frames can be decoded: {reason}"
+                f"{source}: none of {damaged.total()} frames can be decoded: {reason}"
                 + _lens_remedy(reason, streams, options)
             )
         actions, more = add_pickers(writer, paths, times, options.actions)
@@ -163,6 +179,14 @@ def _convert(
 def _numbers(source: Source, frame: StreamFrame) -> np.ndarray:
     content = source.picture("depth", frame)()
     return content.decode() if isinstance(content, PackedPicture) else content
+
+
+def _shows(decode: Callable[[], np.ndarray]) -> bool:
+    """Return whether a depth picture shows anything, as far as it can be decoded."""
+    try:
+        return bool(np.nan_to_num(decode()).any())
+    except TruncatedError:
+        return True
 
 
 @contextmanager
@@ -179,15 +203,20 @@ def _said_of_the_source(
         lens = f"the intrinsics ({streams.calibration.origin})"
         pickers = options.picker_csv or options.picker_topic or options.picker_frame
         for pattern, name, option in (
-            ("depth_unit_m|median depth", f"the unit of depth ({unit.origin})", "--depth-unit-m"),
-            (r"cameras|^size", lens, "--intrinsics FILE"),
-            ("cloth", "--cloth-color", ""),
+            (
+                "^cameras.*depth_unit_m|^median depth",
+                f"the unit of depth ({unit.origin})",
+                "--depth-unit-m",
+            ),
+            (r"^cameras|^size", lens, "" if options.intrinsics else "--intrinsics FILE"),
+            ("^actions|does not cover", "--actions", "frames that the picker's path covers"),
+            ("^cloth", "--cloth-color", ""),
             ("^table", f"the table ({options.world_from_camera})", "another --world-from-camera"),
             ("picker", f"the picker's path ({pickers})", "meters in the world's frame"),
         ):
-            if re.search(pattern, f"{one.field} {one.file}"):
+            if re.search(pattern, f"{one.field} {one.problem} {one.file}"):
                 value = f"{one.field.rpartition('.')[2]} {one.value}".strip()
-                remedy = f"give {option}" if option else one.remedy
+                remedy = f"give {option}" if option else one.remedy.replace(DOCUMENT, name)
                 raise InvalidRecordingError(
                     f"{source}: {name}: {value}: {one.problem}; {remedy}"
                 ) from error
@@ -195,11 +224,17 @@ def _said_of_the_source(
 
 
 def _lens_remedy(reason: str, streams: Streams, options: ImportOptions) -> str:
-    if "the intrinsics are for" not in reason:
+    if "the intrinsics are for" not in reason or "mask" in reason:
         return ""
     if options.intrinsics is not None:
-        return f"; correct width and height in {options.intrinsics}, or give the file of this size"
-    return f" ({streams.calibration.origin}); give those of this size with --intrinsics FILE"
+        return (
+            f"; correct width and height in {options.intrinsics}, or write `depth`, `color` and "
+            "`color_from_depth` there if their sizes differ (docs/import.md)"
+        )
+    return (
+        f" ({streams.calibration.origin}); give those of this size with --intrinsics FILE, with "
+        "`depth`, `color` and `color_from_depth` if their sizes differ (docs/import.md)"
+    )
 
 
 def _write_frames(
@@ -250,7 +285,7 @@ class _Job:
                 lambda numbers: to.depth(unit.counts(numbers)),
             ),
             "color": (to.keeps_color, to.color),
-            "mask": (_never, partial(to.color, nearest=True)),
+            "mask": (_never, partial(_mask, to)),
         }
 
     def start(
@@ -269,6 +304,13 @@ class _Job:
 
     def _run(self, read: dict[str, Callable[[], Content]]) -> dict[str, bytes]:
         return {kind: _png_of(decode(), *self._how[kind]) for kind, decode in read.items()}
+
+
+def _mask(to: Registration, picture: np.ndarray) -> np.ndarray:
+    try:
+        return to.color(picture, nearest=True)
+    except TruncatedError as error:
+        raise TruncatedError(f"a mask has the size of the color picture: {error}") from error
 
 
 def _never(size: tuple[int, int]) -> bool:  # noqa: ARG001
@@ -292,6 +334,10 @@ def _png_of(
 def _check(options: ImportOptions, folder: Path) -> None:
     if folder.exists():
         raise StorageError(f"{folder} exists; delete it or write to another name")
+    if not abs(options.color_offset_s or 0.0) < 1e9:
+        raise InvalidConfigError(
+            f"--color-offset-s is {options.color_offset_s}; give seconds below 1e9"
+        )
     for name, value in (
         ("--depth-unit-m", options.depth_unit_m),
         ("--fps", options.fps),
@@ -305,12 +351,22 @@ def _check(options: ImportOptions, folder: Path) -> None:
             f"--tolerance-s is {tolerance_s:g} s, at most {LARGEST_TOLERANCE_S:g}; pictures "
             "that far apart do not belong together; give seconds"
         )
-    if options.picker_csv and (options.picker_topic or options.picker_frame):
+    paths = {
+        "--picker-csv": options.picker_csv,
+        "--picker-topic": options.picker_topic,
+        "--picker-frame": options.picker_frame,
+    }
+    worlds = {
+        "--world-from-camera": options.world_from_camera, "--world-frame": options.world_frame
+    }  # fmt: skip
+    for choices in (paths, worlds):
+        if len(given := [name for name, value in choices.items() if value]) > 1:
+            raise InvalidConfigError(f"{' and '.join(given)} tell the same: give one of them")
+    if options.gripper_topic and options.picker_csv:
         raise InvalidConfigError(
-            "--picker-csv and a topic or frame both tell the picker's path; give one of them"
+            "--gripper-topic belongs to --picker-topic or --picker-frame; beside --picker-csv, "
+            "write when the picker is closed into that file's column `closed`"
         )
-    if options.picker_topic and options.picker_frame:
-        raise InvalidConfigError("--picker-topic and --picker-frame: give one of them")
 
 
 def _world(
@@ -325,7 +381,13 @@ def _world(
     if isinstance(content, dict):
         table = _table(file, content.get("table"))
         content = content.get("world_from_camera")
-    return rigid_matrix(f"{file}: world_from_camera", content), table
+    pose = rigid_matrix(f"{file}: world_from_camera", content)
+    if (far_m := float(np.linalg.norm(pose[:3, 3]))) > _FARTHEST_CAMERA_M:
+        raise InvalidConfigError(
+            f"{file}: world_from_camera puts the camera {far_m:g} m from the world's origin, more "
+            f"than {_FARTHEST_CAMERA_M:g} m; write meters"
+        )
+    return pose, table
 
 
 def _table(file: Path, content: object) -> Table | None:
@@ -347,12 +409,16 @@ def _table(file: Path, content: object) -> Table | None:
 
 
 def _camera(
-    source: Path, registration: Registration, streams: Streams, pose: Float[np.ndarray, "4 4"]
+    source: Path,
+    registration: Registration,
+    streams: Streams,
+    options: ImportOptions,
+    pose: Float[np.ndarray, "4 4"],
 ) -> Camera:
     try:
         return registration.intrinsics.camera(CAMERA, pose)
     except InvalidRecordingError as error:
+        remedy = "correct them" if options.intrinsics else "give --intrinsics FILE"
         raise InvalidRecordingError(
-            f"{source}: the intrinsics ({streams.calibration.origin}): {error}; give --intrinsics "
-            "FILE"
+            f"{source}: the intrinsics ({streams.calibration.origin}): {error}; {remedy}"
         ) from error

@@ -160,7 +160,8 @@ def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
     counts = {
         f"depth pictures without color near enough in time{advice}": pairing.depth_alone,
         "color pictures without depth near enough in time": pairing.color_alone,
-        "depth pictures with the time stamp of another": pairing.doubles,
+        "depth pictures with the time stamp of another; --stamps written takes the times of "
+        "writing where the source has them": pairing.doubles,
     }
     counts |= {f"frames: {reason}": count for reason, count in damaged.most_common(5)}
     counts["more frames that cannot be decoded"] = sum(

@@ -37,9 +37,7 @@ class Intrinsics:
         """Refuse impossible intrinsics."""
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(numbers).all():
-            raise InvalidRecordingError(
-                f"intrinsics {numbers} are not finite; give them with --intrinsics FILE"
-            )
+            raise InvalidRecordingError(f"intrinsics {numbers} are not finite")
         if not (self.width > 0 and self.height > 0 and self.width * self.height <= MOST_PIXELS):
             size = f"{self.width} x {self.height}"
             raise InvalidRecordingError(f"a camera of {size} pixels; known are 1 to {MOST_PIXELS}")
@@ -47,8 +45,7 @@ class Intrinsics:
         if len(self.distortion) not in known:
             raise InvalidRecordingError(
                 f"a {'fisheye ' * self.fisheye}lens with {len(self.distortion)} distortion "
-                f"coefficients; known are {', '.join(map(str, known))}; give them with "
-                "--intrinsics FILE"
+                f"coefficients; known are {', '.join(map(str, known))}"
             )
 
     @property

@@ -138,13 +138,13 @@ def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
         return Intrinsics(**numbers, distortion=_distortion(f"{path}: {place}", content),
                           fisheye=model in _FISHEYE)  # fmt: skip
     except (InvalidRecordingError, OverflowError) as error:
-        raise InvalidRecordingError(f"{path}: {place}{error}") from error
+        raise InvalidRecordingError(f"{path}: {place}{error}; correct it") from error
 
 
 def _distortion(place: str, content: dict[str, Any]) -> tuple[float, ...]:
     values = content.get("distortion", [])
     if isinstance(values, dict):
-        values = values.get("data")
+        values, content = values.get("data"), content | values
     if not values and content.keys() & {*_COEFFICIENTS}:
         values = [content.get(name, 0.0) for name in _COEFFICIENTS]
     if not isinstance(values, list) or not all(isinstance(one, int | float) for one in values):

@@ -29,7 +29,14 @@ from clothtrack_capture.importing.images import packed_color, to_rgb
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
-from clothtrack_capture.importing.source import Content, StereoCalibration, StreamFrame, Streams
+from clothtrack_capture.importing.source import (
+    TOPIC_OPTIONS,
+    Content,
+    StereoCalibration,
+    StreamFrame,
+    Streams,
+    unused,
+)
 from clothtrack_capture.importing.transforms import rigid
 from clothtrack_capture.importing.units import DepthUnit
 
@@ -180,8 +187,7 @@ class KinectSource:
         origins = {"depth": f"track {depth.name}"}
         if color is not None:
             origins["color"] = f"track {color.name}"
-        if options.picker_topic or options.picker_frame or options.gripper_topic:
-            notes.append("a Kinect recording has no topics: the picker's path is not in it")
+        notes += unused(options, "has no topics; --picker-csv gives a path", *TOPIC_OPTIONS, "fps")
         unit = DepthUnit(1e-3, "the format: millimeters")
         if options.depth_unit_m is not None:
             unit = DepthUnit(options.depth_unit_m, "given by --depth-unit-m")

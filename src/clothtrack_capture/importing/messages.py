@@ -72,14 +72,16 @@ def header_stamp_ns(topic: Topic, data: bytes) -> int:
     return 0 if nanoseconds >= 10**9 else seconds * 10**9 + nanoseconds
 
 
-def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, float]]:
-    """Return the frame ("" if it has none) and the position [m] of a pose message."""
+def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, float]] | None:
+    """Return the frame ("" without one) and position [m] of a pose message; None if it is lost."""
     inner = message
     for name in ("pose", "pose", "transform", "point", "position", "translation"):
         inner = getattr(inner, name, inner)
-    x, y, z = (float(getattr(inner, axis, float("nan"))) for axis in "xyz")
-    if not np.isfinite([x, y, z]).all():
+    if not hasattr(inner, "z"):
         raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
+    x, y, z = float(inner.x), float(inner.y), float(inner.z)
+    if not np.isfinite([x, y, z]).all():
+        return None
     header = getattr(message, "header", None)
     return "" if header is None else str(header.frame_id).lstrip("/"), (x, y, z)
 
@@ -131,14 +133,17 @@ def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
     if problem:
         raise InvalidRecordingError(f"{topic}: {problem}; give --intrinsics FILE")
     fisheye = bool(coefficients) and model in _FISHEYE
-    size = int(info.width), int(info.height)
+    size, roi = (int(info.width), int(info.height)), info.roi
+    if 0 < roi.width * roi.height < size[0] * size[1]:
+        size = int(roi.width), int(roi.height)
+        cx, cy = cx - roi.x_offset, cy - roi.y_offset
     try:
         return Intrinsics(*size, fx, fy, cx, cy, coefficients, fisheye)
     except InvalidRecordingError as error:
-        raise InvalidRecordingError(f"{topic}: {error}") from error
+        raise InvalidRecordingError(f"{topic}: {error}; give --intrinsics FILE") from error
 
 
 def lens_words(info: Any) -> str:
     """Return the numbers of a CameraInfo that place a pixel, as text."""
-    words = [f"{name} {np.round(one, 6).tolist()}" for name, one in _lens_of(info).items()]
+    words = [f"{name} {np.round(one, 3).tolist()}" for name, one in _lens_of(info).items()]
     return ", ".join([f"{int(info.width)} x {int(info.height)}", *words])

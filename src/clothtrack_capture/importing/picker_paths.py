@@ -3,6 +3,7 @@
 import csv
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,9 @@ _NAMES = {
 }
 _SUFFIXES = {"_s": 1.0, "_ms": 1e-3, "_us": 1e-6, "_ns": 1e-9, "_m": 1.0, "_cm": 1e-2, "_mm": 1e-3}
 _LARGEST_FILE = 256 * 2**20
-_MUCH_LONGER = 300.0
+_MUCH_LONGER, _LEAST_COVER = 20.0, 0.8
+# Seconds since 1970 are below the first; times beyond are counts of a finer unit.
+_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 
 def placed_paths(
@@ -35,8 +38,7 @@ def placed_paths(
     options: ImportOptions,
     *,
     pose: Float[np.ndarray, "4 4"],
-    first_ns: int,
-    last_ns: int,
+    span_ns: tuple[int, int],
     posed: bool,
 ) -> tuple[dict[str, PickerPath], list[str]]:
     """Return the paths in the world and on the recording's clock, and remarks about them.
@@ -46,54 +48,67 @@ def placed_paths(
         streams: content of the source, including its paths.
         options: options with the CSV file of a path and its clock.
         pose: transform world_from_camera.
-        first_ns: time of the first frame on the source's clock [ns].
-        last_ns: time of the last frame on the source's clock [ns].
+        span_ns: times of the first and the last frame on the source's clock [ns].
         posed: whether that pose is known; otherwise the camera's frame is used as the world.
     """
-    span = [0.0, (last_ns - first_ns) / 1e9]
-    table = options.picker_csv
-    if table is not None:
-        paths, notes = read_path_table(table)
-        shifts = {"recording": 0.0, "source": first_ns / 1e9}
-        other = "recording" if options.picker_clock == "source" else "source"
-        remedy = (
-            f"the first frame is at {first_ns / 1e9:.3f} s of the source's clock; write the path's "
-            "times on that clock, or from the first frame on"
-        )
-        if all(_meet(path.time_s - shifts[other], span) for path in paths.values()):
-            remedy = (
-                f"{table} was read on the clock of the {options.picker_clock}; give --picker-clock "
-                f"{other}"
-            )
-        moved = _on_recording_clock(paths, shifts[options.picker_clock], span, remedy)
+    first_ns, lasts_s = span_ns[0], (span_ns[1] - span_ns[0]) / 1e9
+    if options.picker_csv is not None:
+        paths, notes, start_s, remedy = _logged(options.picker_csv, options, first_ns, lasts_s)
         frame = "the world" if posed else "the camera's frame, which stands in for the world"
-        for name, path in moved.items():
-            if (lasts_s := np.ptp(path.time_s)) > _MUCH_LONGER * max(span[1], 1e-3):
-                notes.append(
-                    f"the path of {name!r} lasts {lasts_s:g} s, the frames {span[1]:g} s; if its "
-                    "times are milliseconds, call the column time_ms"
+        notes.append(f"the path in {options.picker_csv.name} was taken to be in {frame}")
+    else:
+        paths, notes = dict(streams.paths), []
+        if streams.path_frame == "camera":
+            paths = {
+                name: replace(path, positions=path.positions @ pose[:3, :3].T + pose[:3, 3])
+                for name, path in paths.items()
+            }
+        elif paths and streams.path_frame != "world":
+            if not posed:
+                raise InvalidConfigError(
+                    f"{source}: the picker's path is in frame {streams.path_frame}, and nothing "
+                    "ties that to the camera; give the camera's pose in it with "
+                    "--world-from-camera FILE"
                 )
-        return moved, [*notes, f"the path in {table.name} was taken to be in {frame}"]
-    if not streams.paths:
-        return {}, []
-    notes = []
-    paths = dict(streams.paths)
-    if streams.path_frame == "camera":
-        paths = {name: _moved(path, pose) for name, path in paths.items()}
-    elif streams.path_frame != "world":
-        if not posed:
-            raise InvalidConfigError(
-                f"{source}: the picker's path is in frame {streams.path_frame}, and nothing ties "
-                "that to the camera; give the camera's pose in it: --world-from-camera FILE"
+            notes.append(
+                f"the picker's path in frame {streams.path_frame} was taken to be in the world"
             )
-        notes.append(
-            f"the picker's path in frame {streams.path_frame} was taken to be in the world"
-        )
-    start_s = (first_ns - streams.path_start_ns) / 1e9
-    remedy = "record both with the same clock"
-    if options.stamps == "header":
-        remedy = "where they have two clocks, give --stamps written"
-    return _on_recording_clock(paths, start_s, span, remedy), notes
+        start_s = (first_ns - streams.path_start_ns) / 1e9
+        remedy = "record both with the same clock"
+        if options.stamps == "header":
+            remedy = "where they have two clocks, give --stamps written"
+    paths = {name: replace(path, time_s=path.time_s - start_s) for name, path in paths.items()}
+    for name, path in paths.items():
+        start, stop = path.time_s[[0, -1]].tolist()
+        words = f"the path of {name!r} lasts from {start:.3f} to {stop:.3f} s of the recording"
+        if not _meets(path.time_s, lasts_s):
+            raise InvalidConfigError(f"{words}, the frames from 0 to {lasts_s:.3f} s; {remedy}")
+        if min(stop, lasts_s) - max(start, 0.0) < _LEAST_COVER * lasts_s:
+            notes.append(f"{words}, which has {lasts_s:.3f} s")
+        if stop - start > _MUCH_LONGER * max(lasts_s, 1e-3):
+            notes.append(f"{words}, in seconds; name another unit with the column, such as time_ms")
+    return paths, notes
+
+
+def _logged(
+    path: Path, options: ImportOptions, first_ns: int, lasts_s: float
+) -> tuple[dict[str, PickerPath], list[str], float, str]:
+    """Return a log's paths, remarks, the first frame on its clock [s], and what else may help."""
+    paths, notes = read_path_table(path)
+    starts = {"recording": 0.0, "source": first_ns / 1e9}
+    clock = options.picker_clock
+    other = "recording" if clock == "source" else "source"
+    remedy = (
+        f"the first frame is at {first_ns / 1e9:.3f} s of the source's clock; write the path's "
+        "times on that clock, or from the first frame on"
+    )
+    if all(_meets(path.time_s - starts[other], lasts_s) for path in paths.values()):
+        remedy = f"{path} was read on the clock of the {clock}; give --picker-clock {other}"
+    return paths, notes, starts[clock], remedy
+
+
+def _meets(times: np.ndarray, lasts_s: float) -> bool:
+    return bool(times[-1] >= 0 and times[0] <= lasts_s)
 
 
 def add_pickers(
@@ -141,7 +156,8 @@ def read_path_table(path: Path) -> tuple[dict[str, PickerPath], list[str]]:
     separator = max(",;\t", key=head.count)
     try:
         return _paths_in(path, [word.strip() for word in head.split(separator)], begin + 2,
-                         csv.reader(lines[begin + 1 :], delimiter=separator))  # fmt: skip
+                         csv.reader(lines[begin + 1 :], delimiter=separator),
+                         "." if separator == "," else ",")  # fmt: skip
     except csv.Error as error:
         raise InvalidRecordingError(f"{path}: not a CSV file ({error})") from error
 
@@ -157,7 +173,7 @@ def _column(word: str) -> tuple[str, float] | None:
 
 
 def _paths_in(
-    path: Path, head: list[str], begin: int, rows: Iterable[list[str]]
+    path: Path, head: list[str], begin: int, rows: Iterable[list[str]], decimal: str
 ) -> tuple[dict[str, PickerPath], list[str]]:
     columns = {known[0]: (place, known[1]) for place, word in reversed([*enumerate(head)])
                if (known := _column(word)) is not None}  # fmt: skip
@@ -167,24 +183,24 @@ def _paths_in(
             f"{path}: the first line is {','.join(head)[:200]!r}, without {', '.join(missing)}; "
             f"write {','.join(COLUMNS)} or time,x,y,z[,closed]"
         )
-    unused = [word for place, word in enumerate(head)
-              if place not in [known for known, _ in columns.values()]]  # fmt: skip
+    used = [place for place, _ in columns.values()]
+    unused = [word for place, word in enumerate(head) if place not in used]
     notes = [f"columns of {path.name} that were not used: {listed(unused)}"] if unused else []
-    named = columns.pop("picker", None)
+    named, _ = columns.pop("picker", (None, 1.0))
+    order = [columns[name] for name in ("time", "x", "y", "z", "closed") if name in columns]
     tables: dict[str, list[list[float]]] = {}
     doubles = 0
     for number, row in enumerate(rows, start=begin):
         if not "".join(row).strip() or row[0].startswith("#"):
             continue
         try:
-            values = [_number(row[place]) * scale for place, scale in columns.values()]
-            name = "picker" if named is None else row[named[0]].strip()
+            sample = [_number(row[place], decimal) * scale for place, scale in order]
+            name = "picker" if named is None else row[named].strip()
         except (ValueError, IndexError) as error:
             raise InvalidRecordingError(
-                f"{path}: line {number}: {','.join(row)[:80]!r} is not {len(columns)} numbers"
+                f"{path}: line {number}: {','.join(row)[:80]!r} is not {len(order)} numbers; "
+                "correct the line or delete it"
             ) from error
-        values = dict(zip(columns, values, strict=True))
-        sample = [values["time"], values["x"], values["y"], values["z"], values.get("closed", 0.0)]
         table = tables.setdefault(name, [])
         if table and sample[0] < table[-1][0]:
             raise InvalidRecordingError(
@@ -195,61 +211,45 @@ def _paths_in(
             doubles += 1
             table.pop()
         table.append(sample)
-    arrays = {name: np.array(table) for name, table in tables.items()}
-    for name, table in (arrays or {"picker": np.zeros((0, 5))}).items():
-        if len(table) < 2:
-            raise InvalidRecordingError(
-                f"{path}: {len(table)} positions of {name!r} at different times; a path has at "
-                "least two"
-            )
+    paths = {name: _path_of(path, name, np.array(table), notes)
+             for name, table in (tables or {"picker": []}).items()}  # fmt: skip
     if doubles:
-        finest = min(float(np.diff(table[:, 0]).min()) for table in arrays.values())
+        finest = min(float(np.diff(one.time_s).min()) for one in paths.values())
         notes.append(
             f"{doubles} rows of {path.name} repeat the time of the row before: its times have a "
             f"resolution of {finest:g} s; the last row of each time was kept, so the path may be "
             "wrong by that long"
         )
-    return {
-        name: PickerPath(table[:, 0], table[:, 1:4], table[:, 4] > 0.5)
-        for name, table in arrays.items()
-    }, notes
+    return paths, notes
 
 
-def _number(word: str) -> float:
+def _path_of(path: Path, name: str, table: np.ndarray, notes: list[str]) -> PickerPath:
+    """Return the path in rows of time, x, y, z and perhaps `closed`; add remarks."""
+    if len(table) < 2:
+        raise InvalidRecordingError(
+            f"{path}: {len(table)} positions of {name!r} at different times; a path has at least "
+            "two"
+        )
+    scale = next((unit for most, unit in _EPOCHS if table[0, 0] > most), 1.0)
+    if scale != 1.0:
+        notes.append(f"the times of {path.name} were taken to be {1 / scale:.0e} per second")
+    closed = table[:, 4] if table.shape[1] > 4 else np.zeros(len(table))
+    if not np.isin(closed, (-1, 0, 1)).all():
+        raise InvalidRecordingError(
+            f"{path}: `closed` of {name!r} has values from {closed.min():g} to {closed.max():g}; "
+            "write 1 where the picker is closed and 0 where it is open"
+        )
+    if table.shape[1] > 4 and np.ptp(closed) == 0:
+        notes.append(f"`closed` of {name!r} is {closed[0]:g} all the time")
+    return PickerPath(table[:, 0] * scale, table[:, 1:4], closed > 0.5)
+
+
+def _number(word: str, decimal: str) -> float:
     value = {"true": 1.0, "false": 0.0}.get(word.strip().lower())
-    value = float(word) if value is None else value
+    value = float(word.replace(decimal, ".")) if value is None else value
     if not np.isfinite(value):
         raise ValueError(word)
     return value
-
-
-def _meet(times: np.ndarray, span: Sequence[float]) -> bool:
-    return bool(times[-1] >= span[0] and times[0] <= span[1])
-
-
-def _on_recording_clock(
-    paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], remedy: str
-) -> dict[str, PickerPath]:
-    """Return the paths on the clock of the frames.
-
-    Args:
-        paths: paths with times on another clock.
-        start_s: time of the first frame on that clock [s].
-        frame_times: times of the frames [s].
-        remedy: advice for the error message if they have no time in common.
-    """
-    moved = {
-        name: PickerPath(path.time_s - start_s, path.positions, path.closed)
-        for name, path in paths.items()
-    }
-    for name, path in moved.items():
-        if not _meet(path.time_s, frame_times):
-            raise InvalidConfigError(
-                f"the path of {name!r} lasts from {path.time_s[0]:.3f} to {path.time_s[-1]:.3f} s "
-                f"of the recording, the frames from {frame_times[0]:.3f} to {frame_times[-1]:.3f} "
-                f"s; {remedy}"
-            )
-    return moved
 
 
 def actions_in_words(
@@ -276,8 +276,3 @@ def actions_in_words(
             "--actions without a picker's path: give --picker-csv, --picker-topic or --picker-frame"
         )
     return actions
-
-
-def _moved(path: PickerPath, pose: Float[np.ndarray, "4 4"]) -> PickerPath:
-    positions = path.positions @ pose[:3, :3].T + pose[:3, 3]
-    return PickerPath(path.time_s, positions, path.closed)

@@ -22,11 +22,13 @@ from clothtrack_capture.importing.intrinsics_file import (
     text_of,
 )
 from clothtrack_capture.importing.source import (
+    TOPIC_OPTIONS,
     Content,
     StreamFrame,
     Streams,
     listed,
     natural_order,
+    unused,
 )
 from clothtrack_capture.importing.units import DepthUnit
 
@@ -76,8 +78,9 @@ class FolderSource:
             raise InvalidRecordingError(f"{path}: {ask}")
         given_m = options.depth_unit_m
         unit = lens.unit if given_m is None else DepthUnit(given_m, "given by --depth-unit-m")
-        if options.picker_topic or options.picker_frame or options.gripper_topic:
-            self._notes.append("a folder has no topics: give the picker's path with --picker-csv")
+        self._notes += unused(options, "has no topics; --picker-csv gives a path", *TOPIC_OPTIONS)
+        if lists[0] or lists[1]:
+            self._notes += unused(options, "has the times of a list", "fps")
         if options.without_color:
             streams.pop("color", None)
         if files["mask"]:
@@ -115,9 +118,10 @@ class FolderSource:
             raise TruncatedError(f"{path.name}: {error.strerror}") from error
 
     def _there(self, names: Sequence[str]) -> Path | None:
-        """Return the first file of these names that is there; all of them count as used."""
-        self._used.update(names)
-        return next((self._path / name for name in names if (self._path / name).is_file()), None)
+        """Return the first file of these names that is there, which counts as used."""
+        found = next((name for name in names if (self._path / name).is_file()), None)
+        self._used.add(found or "")
+        return None if found is None else self._path / found
 
     def _pictures(self, kind: str) -> list[Path] | None:
         """Return the pictures of the first existing folder, in natural order; None without one."""
@@ -131,6 +135,8 @@ class FolderSource:
                 files.append(file)
             elif not _IGNORED.search(file.name):
                 others.append(file.name)
+        if not files:
+            self._notes.append(f"{name}/ has no pictures")
         if others:
             self._notes.append(
                 f"{len(others)} files in {name}/ that are no PNG or JPEG in this folder: "
@@ -146,11 +152,11 @@ class FolderSource:
             raise InvalidRecordingError(f"{path}: cannot be read ({error}); correct it") from error
         root, result, skipped = self._path.resolve(), list[list[StreamFrame]](), list[str]()
         for line in lines:
-            words = line.split() if pairs > 1 else line.split(maxsplit=1)
-            if not words or words[0].startswith("#"):
+            words = re.split(r"[,\s]+", line.strip(), maxsplit=0 if pairs > 1 else 1)
+            if not words[0] or words[0].startswith("#"):
                 continue
-            times = [_nanoseconds(word) for word in words[::2]]
-            files = [self._path / word.strip() for word in words[1::2]]
+            times = [(_name_times([word]) or [_nanoseconds(word)])[0] for word in words[::2]]
+            files = [self._path / word.strip().replace("\\", "/") for word in words[1::2]]
             if len(words) == 2 * pairs and None not in times and all(
                 _lies_in(root, file) for file in files
             ):  # fmt: skip
@@ -158,11 +164,14 @@ class FolderSource:
                                for time, file in zip(times, files, strict=True)])  # fmt: skip
             else:
                 skipped.append(line.strip())
-        if skipped:
-            self._notes.append(
-                f"{path.name}: {len(skipped)} lines are not `{'seconds file ' * pairs}`, left out: "
-                f"{listed(skipped, 2)[:80]}"
+        words = f"{len(skipped)} lines are not `{('seconds file ' * pairs).strip()}`"
+        if skipped and not result:
+            raise InvalidRecordingError(
+                f"{path}: {words}, such as {skipped[0][:80]!r}; write a time and a file in this "
+                "folder, or remove the list"
             )
+        if skipped:
+            self._notes.append(f"{path.name}: {words}, left out: {listed(skipped, 2)[:80]}")
         return result
 
     def _tum(
@@ -190,9 +199,9 @@ class FolderSource:
     def _numbered(self, files: Mapping[str, list[Path] | None]) -> dict[str, list[StreamFrame]]:
         """Return the frames of pictures whose names tell their order, or their times."""
         pictures = {kind: files[kind] or [] for kind in ("depth", "color") if files[kind]}
-        times = {kind: [_name_time_ns(file.stem) for file in each]
+        times = {kind: _name_times([file.stem for file in each])
                  for kind, each in pictures.items()}  # fmt: skip
-        if self._options.fps is None and all(None not in each for each in times.values()):
+        if self._options.fps is None and pictures and all(times.values()):
             self._notes.append("the names of the pictures are their times")
         else:
             fps = self._options.fps or (None if self._lens is None else self._lens.fps)
@@ -203,11 +212,16 @@ class FolderSource:
             every = sorted({key for each in keys.values() for key in each}, key=natural_order)
             moment = {key: round(1e9 * number / fps) for number, key in enumerate(every)}
             times = {kind: [moment[key] for key in each] for kind, each in keys.items()}
+            if every and every[0].isdigit() and every[-1].isdigit() and (
+                len(every) < int(every[-1]) - int(every[0]) + 1 < _MOST_FILES
+            ):  # fmt: skip
+                self._notes.append(
+                    f"the numbers of the pictures run from {every[0]} to {every[-1]} with gaps; "
+                    f"the {len(every)} that are there follow each other without one"
+                )
             self._notes.append(f"no time stamps: pictures taken as {fps:g} per second")
         return {"depth": []} | {
-            kind: [
-                StreamFrame(time or 0, file) for time, file in zip(times[kind], each, strict=True)
-            ]
+            kind: sorted(map(StreamFrame, times[kind] or (), each), key=lambda one: one.time_ns)
             for kind, each in pictures.items()
         }
 
@@ -241,7 +255,12 @@ class FolderSource:
         """Return the pictures at the times of those of the same name, or else by position."""
         numbers = dict(zip(_keys([frame.place for frame in depth]),
                            [frame.time_ns for frame in depth], strict=True))  # fmt: skip
-        for keys, known in (([file.stem for file in files], times), (_keys(files), numbers)):
+        mine = _keys(files)
+        tries = [([file.stem for file in files], times), (mine, numbers)]
+        if len(mine) == len(depth) and {*mine} != {*numbers} and _is_shifted([*numbers], mine):
+            tries = []
+        found: list[StreamFrame] = []
+        for keys, known in tries:
             found = [StreamFrame(known[key], file)
                      for key, file in zip(keys, files, strict=True) if key in known]  # fmt: skip
             if found:
@@ -284,7 +303,7 @@ class FolderSource:
             raise InvalidRecordingError(f"{path}: no picture is described; see docs/import.md")
         change = np.abs(numbers - numbers[0]).max(axis=0)
         if change[:5].max() > 1e-6 or change[5:].max() > _MOST_MOVED_M:
-            moved = f"the camera moves by {change[5:].max():.3f} m (cam_t_w2c)"
+            moved = f"the camera moves by {change[5:8].max():.3f} m or turns (cam_t_w2c, cam_R_w2c)"
             lens = "cam_K or depth_scale changes from picture to picture"
             raise InvalidRecordingError(
                 f"{path}: {lens if change[:5].max() > 1e-6 else moved}; a recording has one fixed "
@@ -307,7 +326,8 @@ def _bop_entry(path: Path, entry: Any) -> list[float]:
     try:
         k, scale = [float(value) for value in entry["cam_K"]], float(entry["depth_scale"])
         place = [float(value) * 1e-3 for value in entry.get("cam_t_w2c", (0.0, 0.0, 0.0))]
-        return [k[0], k[4], k[2], k[5], scale, *place[:3]]
+        turn = [float(value) for value in entry.get("cam_R_w2c", np.eye(3).ravel())]
+        return [k[0], k[4], k[2], k[5], scale, *place[:3], *turn[:9]]
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InvalidRecordingError(
             f"{path}: an entry has no cam_K of nine numbers or no depth_scale; correct it"
@@ -320,6 +340,8 @@ def _keys(files: Sequence[Path]) -> list[str]:
     What comes before the first and after the last digit goes where all names share it.
     """
     stems = [file.stem for file in files]
+    if times := _name_times(stems):
+        return [f"{time:020d}" for time in times]
     parts = [re.fullmatch(r"(\D*)(.*?)(\D*)", stem, re.DOTALL) for stem in stems]
     ends = {(part[1], part[3]) for part in parts if part is not None}
     if len(ends) != 1:
@@ -339,17 +361,25 @@ def _is_shifted(depth: Sequence[str], color: Sequence[str]) -> bool:
     return mine[-1] - mine[0] == yours[-1] - yours[0] == len(mine) - 1
 
 
-def _name_time_ns(stem: str) -> int | None:
-    """Return the time in a name: seconds with decimals, or a count since 1970 that looks like one.
+def _name_times(stems: Sequence[str]) -> list[int] | None:
+    """Return the times that names tell [ns]; None if they are no times.
 
-    Counts of 13, 16 and 19 digits are milliseconds, microseconds and nanoseconds.
+    They are seconds, mostly with decimals, or counts since 1970: 13, 16 and 19 digits are
+    milliseconds, microseconds and nanoseconds.
     """
-    if match := re.fullmatch(r"(?:\D*[_-])?(\d{1,10}\.\d{2,12})", stem):
-        return _nanoseconds(match[1])
-    if match := re.fullmatch(r"(?:\D*[_-])?(\d{9,10})[_-](\d{9})", stem):
-        return int(match[1]) * 10**9 + int(match[2])
-    if match := re.fullmatch(r"(?:\D*[_-])?([1-4]\d{12}|[1-4]\d{15}|[1-4]\d{18})", stem):
-        return int(match[1]) * 10 ** (19 - len(match[1]))
+    for pattern in (r"(?:\D*[_-](?=\d{9}))?(\d{1,10}(?:\.\d*)?)",
+                    r"(?:\D*[_-])?(\d{9,10})[_-](\d{9})",
+                    r"(?:\D*[_-])?([1-4]\d{12}|[1-4]\d{15}|[1-4]\d{18})"):  # fmt: skip
+        found = [match.groups() for stem in stems if (match := re.fullmatch(pattern, stem))]
+        if not stems or len(found) < len(stems):
+            continue
+        if len(found[0]) > 1:
+            return [int(seconds) * 10**9 + int(rest) for seconds, rest in found]
+        words = [word for (word,) in found]
+        if len(words[0]) in (13, 16, 19) and "." not in words[0]:
+            return [int(word) * 10 ** (19 - len(word)) for word in words]
+        if 2 * sum("." in word for word in words) > len(words):
+            return [_nanoseconds(word) or 0 for word in words]
     return None
 
 
@@ -362,7 +392,7 @@ def _lies_in(folder: Path, file: Path) -> bool:
 
 def _nanoseconds(word: str) -> int | None:
     """Return a decimal number of seconds as exact nanoseconds."""
-    match = re.fullmatch(r"(\d{1,10})(?:\.(\d{0,12}))?", word)
+    match = re.fullmatch(r"(\d{1,10})(?:\.(\d*))?", word)
     if match is None:
         return None
     return int(match[1]) * 10**9 + int((match[2] or "").ljust(9, "0")[:9])

@@ -26,6 +26,7 @@ from clothtrack_capture.importing.source import (
     StreamFrame,
     Streams,
     natural_order,
+    unused,
 )
 from clothtrack_capture.importing.topics import (
     COMPRESSED,
@@ -132,6 +133,12 @@ class BagSource:
     def _find_unit(self, options: ImportOptions) -> DepthUnit | None:
         topic = self._depth_topic
         self._first(topic)
+        encoding = self._encoding_of(topic)
+        if topic.kind != COMPRESSED and encoding not in (*images.DEPTH_ENCODINGS, ""):
+            raise InvalidRecordingError(
+                f"{self._path}: {topic.name} has encoding {encoding!r}, which is no depth; name "
+                "another topic with --depth-topic"
+            )
         if options.depth_unit_m is not None:
             return DepthUnit(options.depth_unit_m, "given by --depth-unit-m")
         unit_m = realsense.depth_unit_m(self._walk.heard, topic)
@@ -142,7 +149,6 @@ class BagSource:
                     f"({self._walk.changed[name]}); give --depth-unit-m for all, or cut it there"
                 )
             return DepthUnit(unit_m, "the sensor's option Depth Units in the recording")
-        encoding = self._encoding_of(topic)
         if encoding.startswith("32fc1"):
             return DepthUnit(1.0, "encoding 32FC1: meters (REP 118)")
         if encoding.startswith(("16uc1", PNG_DEPTH)) and not realsense.is_stream(topic):
@@ -201,6 +207,7 @@ class BagSource:
             origins["color"] = color.name
         camera_frame = self._frame(color or self._depth_topic)
         notes += self._movement(camera_frame, options)
+        notes += unused(options, "has time stamps", "fps")
         world = None
         if options.world_frame is not None:
             world = self._world_from_camera(camera_frame, options.world_frame)
@@ -221,6 +228,7 @@ class BagSource:
             color=None if color is None else self._walk.frames[color.name],
             origins={**origins, **picker.origins},
             notes=[*notes, *picker.notes, *left_out(rest, used)],
+            marks=self._walk.marks if picker.paths else {},
             paths=picker.paths,
             path_frame=picker.frame,
             path_start_ns=picker.start_ns,

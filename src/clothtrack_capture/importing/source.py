@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from clothtrack.recordings.recording import PickerPath
 from clothtrack_capture.importing.images import PackedPicture
+from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.units import DepthUnit
 
@@ -27,6 +28,17 @@ def listed(names: Sequence[str], most: int = 8) -> str:
     """Return the names as text, the first of many."""
     more = [f"and {len(names) - most} more"] if len(names) > most else []
     return ", ".join([*names[:most], *more])
+
+
+TOPIC_OPTIONS = ("depth_topic", "color_topic", "world_frame", "picker_topic", "picker_frame",
+                 "gripper_topic", "gripper_joints", "gripper_closed_below")  # fmt: skip
+"""The options that name something in a bag."""
+
+
+def unused(options: ImportOptions, why: str, *names: str) -> list[str]:
+    """Return a remark on the options among these that were given and do not apply."""
+    given = [f"--{name.replace('_', '-')}" for name in names if getattr(options, name)]
+    return [f"{', '.join(given)} not used: this source {why}"] if given else []
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +75,8 @@ class Streams:
 
     Pictures stand in the order of writing; a mask belongs to the pictures of its time. `paths` are
     in `path_frame`, their times [s] count from `path_start_ns` on the clock of the pictures.
-    `ask_unit` is the message where nobody tells the unit.
+    `marks` has the stamps of the robot's messages, by topic; `ask_unit` is the message where nobody
+    tells the unit.
     """
 
     kind: str
@@ -74,6 +87,7 @@ class Streams:
     color: Sequence[StreamFrame] | None
     origins: Mapping[str, str]
     mask: Sequence[StreamFrame] = ()
+    marks: Mapping[str, Sequence[StreamFrame]] = field(default_factory=dict)
     notes: Sequence[str] = ()
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
     path_frame: str = ""

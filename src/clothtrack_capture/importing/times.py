@@ -16,10 +16,15 @@ from clothtrack_capture.importing.source import StreamFrame, Streams
 
 LARGEST_TOLERANCE_S = 1.0
 _LONE_TOLERANCE_NS = 20e6
-_TWO_CLOCKS_NS = 5e8
-"""Difference between depth and color, each stamp against its time of writing, of two clocks."""
+_TWO_CLOCKS_NS, _LATE_NS, _DRIFT_NS = 5e8, 2.5e8, 1e8
+"""Difference of two streams, each stamp against its time of writing: of two clocks; worth a word;
+from the first to the last pictures."""
 _JUMP_STEPS, _LEAST_JUMP_NS = 100, 1e9
 """A step is a jump beyond this many median steps, and beyond this time."""
+_FASTEST_NS, _SLOWEST_NS = 1e6, 5e9
+"""Usual steps beyond these are not those of a camera."""
+_SEVERAL_CLOCKS = ("/tf",)
+"""Topics that several programs write, each in its own order."""
 _SAME_DENSITY = (0.5, 1.5)
 """Pictures per median step between a stamp that falls behind and the latest one, if messages were
 only written in another order; a clock that was set back fills that time twice, or not at all."""
@@ -34,28 +39,34 @@ def timed(
     if streams.color is not None:
         result["color"] = list(streams.color)
     if options.stamps == "written":
-        for name, frames in result.items():
-            if any(frame.written_ns is None for frame in frames):
-                raise InvalidConfigError(
-                    f"--stamps written: {source} does not tell when its pictures were written; "
-                    "leave it out"
-                )
-            result[name] = [replace(frame, time_ns=frame.written_ns) for frame in frames]
+        result = {name: _written(source, frames) for name, frames in result.items()}
     else:
-        for name, frames in result.items():
-            result[name] = _filled(name, frames, notes)
-            _check_order(source, name, result[name])
-    if options.color_offset_s is not None:
-        shift_ns = round(options.color_offset_s * 1e9)
-        result["color"] = [
-            replace(frame, time_ns=frame.time_ns + shift_ns) for frame in result.get("color", ())
-        ]
-    elif options.stamps == "header" and "color" in result:
-        _check_clocks(source, result["depth"], result["color"])
+        result = {name: _filled(name, frames, notes) for name, frames in result.items()}
+        others = dict(streams.marks)
+        if "color" in result and options.color_offset_s is None:
+            others["color"] = result["color"]
+        for name, frames in {**result, **others}.items():
+            if name not in _SEVERAL_CLOCKS:
+                _check_order(source, name, frames)
+        for name, frames in others.items():
+            notes += _clocks(source, result["depth"], name, frames)
+    if options.color_offset_s is not None and "color" not in result:
+        raise InvalidConfigError("--color-offset-s: there is no color; leave it out")
+    shift_ns = round((options.color_offset_s or 0.0) * 1e9)
+    if shift_ns:
+        result["color"] = [replace(one, time_ns=one.time_ns + shift_ns) for one in result["color"]]
     told: list[tuple[int, int]] = []
     for name, frames in result.items():
         notes += _jumps(name, frames, told, options)
     return result, notes
+
+
+def _written(source: Path, frames: Sequence[StreamFrame]) -> list[StreamFrame]:
+    if any(frame.written_ns is None for frame in frames):
+        raise InvalidConfigError(
+            f"--stamps written: {source} does not tell when its pictures were written; leave it out"
+        )
+    return [replace(frame, time_ns=frame.written_ns) for frame in frames]
 
 
 def _filled(name: str, frames: list[StreamFrame], notes: list[str]) -> list[StreamFrame]:
@@ -63,6 +74,8 @@ def _filled(name: str, frames: list[StreamFrame], notes: list[str]) -> list[Stre
     missing = [number for number, frame in enumerate(frames) if not frame.stamped]
     if not missing or len(missing) == len(frames):
         return frames
+    if missing == [0] and frames[1].time_ns < _LEAST_JUMP_NS:
+        return [replace(frames[0], time_ns=0), *frames[1:]]  # a simulator's clock begins at 0
     late_ns = _late_ns(frames) or 0
     notes.append(
         f"{len(missing)} pictures of {name} have no time stamp (the first is number {missing[0]}, "
@@ -116,17 +129,36 @@ def _is_usable(frames: Sequence[StreamFrame]) -> bool:
     return len(np.unique(written)) > 0.9 * len(written)
 
 
-def _check_clocks(source: Path, depth: Sequence[StreamFrame], color: Sequence[StreamFrame]) -> None:
-    late, other = _late_ns(depth), _late_ns(color)
-    if late is None or other is None or abs(other - late) <= _TWO_CLOCKS_NS:
-        return
-    way = "behind" if other > late else "ahead"
-    written = "give --stamps written, or " if _is_usable(depth) and _is_usable(color) else "give "
-    raise InvalidRecordingError(
-        f"{source}: depth and color are stamped by two clocks: by the times of writing, color's is "
-        f"{abs(other - late) / 1e9:.3f} s {way}; {written}--color-offset-s "
-        f"{(other - late) / 1e9:.3f}"
-    )
+def _clocks(
+    source: Path, depth: Sequence[StreamFrame], name: str, frames: Sequence[StreamFrame]
+) -> list[str]:
+    """Return remarks on another stream's clock, by the times of writing; refuse a second clock."""
+    late, other = _late_ns(depth), _late_ns(frames)
+    if late is None or other is None or not any(frame.stamped for frame in depth):
+        return []
+    apart = other - late
+    color = f"--color-offset-s {apart / 1e9:.3f}" if name == "color" else ""
+    written = "--stamps written" if _is_usable(depth) and _is_usable(frames) else ""
+    remedy = f"give {' or '.join(filter(None, (written, color)))}"
+    words = f"{abs(apart) / 1e9:.3f} s {'behind' if apart > 0 else 'ahead'}"
+    if abs(apart) > _TWO_CLOCKS_NS:
+        raise InvalidRecordingError(
+            f"{source}: depth and {name} are stamped by two clocks: by the times of writing, that "
+            f"of {name} is {words}; {remedy}"
+        )
+    fifth = len(depth) // 5, len(frames) // 5
+    pairs = list(zip((depth, frames), fifth, strict=True))
+    starts = [_late_ns(stream[:count]) for stream, count in pairs]
+    ends = [_late_ns(stream[-count:]) for stream, count in pairs]
+    if min(fifth) > 1 and None not in (*starts, *ends):
+        drift = (ends[1] or 0) - (ends[0] or 0) - (starts[1] or 0) + (starts[0] or 0)
+        if abs(drift) > _DRIFT_NS:
+            return [f"the clock of {name} drifts by {drift / 1e9:.3f} s against that of depth; "
+                    "give --stamps written"]  # fmt: skip
+    if abs(apart) > _LATE_NS:
+        return [f"by the times of writing, the stamps of {name} are {words} of those of depth; if "
+                f"it has a clock of its own, {remedy}"]  # fmt: skip
+    return []
 
 
 def _jumps(
@@ -141,9 +173,17 @@ def _jumps(
     order = sorted(range(len(frames)), key=lambda number: frames[number].time_ns)
     times = _times(frames)[order]
     steps = np.diff(times)
-    usual = float(np.median(steps))
+    usual = float(np.median(steps[steps > 0])) if steps.any() else 1.0
     notes = []
-    for k in np.flatnonzero(steps > max(_JUMP_STEPS * usual, _LEAST_JUMP_NS)).tolist():
+    if steps.any() and not _SLOWEST_NS > usual > _FASTEST_NS:
+        notes.append(
+            f"{1e9 / usual:.3g} pictures of {name} per second: check the unit of their times"
+        )
+    jumps = steps > max(_JUMP_STEPS * usual, _LEAST_JUMP_NS)
+    if options.stamps == "header" and _is_usable(frames):
+        written = np.diff([frames[number].written_ns or 0 for number in order])
+        jumps |= (steps > 3 * usual) & (np.abs(steps - written) > _LATE_NS)
+    for k in np.flatnonzero(jumps).tolist():
         span = (int(times[k]), int(times[k + 1]))
         if any(span[0] < stop and start < span[1] for start, stop in told):
             continue

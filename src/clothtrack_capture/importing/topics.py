@@ -89,6 +89,11 @@ def choose_color(
     # The color of a camera shares the longest topic prefix with its depth.
     shared = max((_shared(topic.name, depth.name) for topic in usual), default=0)
     near = [topic for topic in able if _shared(topic.name, depth.name) >= shared]
+    if asked and base_name(asked) == base_name(depth.name):
+        raise InvalidRecordingError(
+            f"{path}: --color-topic {asked!r} is the topic of depth; name the one of color, or "
+            "give --without-color"
+        )
     words = ("color", "--color-topic", topic_list(topics))
     return _choose(path, able if asked else near, _COLOR, asked, words)
 

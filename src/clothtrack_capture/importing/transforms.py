@@ -77,13 +77,14 @@ class TransformTree:
         edge.numbers.extend(numbers.tolist())
 
     def add_message(self, stamped: Any, sent_ns: int, *, static: bool, written: bool = False
-                    ) -> None:  # fmt: skip
-        """Add a TransformStamped, at `sent_ns` if it has no time, or always (`written`)."""
+                    ) -> int:  # fmt: skip
+        """Add a TransformStamped, at `sent_ns` if it has no time or if `written`; return that."""
         stamp = stamped.header.stamp
         time_ns = sent_ns if written else stamp.sec * 10**9 + stamp.nanosec or sent_ns
         t, q = stamped.transform.translation, stamped.transform.rotation
         self.add(stamped.header.frame_id, stamped.child_frame_id, time_ns, (t.x, t.y, t.z),
                  (q.x, q.y, q.z, q.w), static=static)  # fmt: skip
+        return time_ns
 
     def forget(self, before_ns: int) -> None:
         """Remove samples before a time, except the last sample of each frame up to it."""

@@ -1,8 +1,8 @@
 """How long a unit of depth is, in what order its bytes stand, and whether the pictures agree."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,10 @@ from clothtrack.recordings.recording import FARTHEST_MEDIAN_M, NEAREST_MEDIAN_M
 # Floats are stored in tenths of a millimeter, finer than any sensor and up to 6.5 m.
 _FLOAT_STORED_M = 1e-4
 _USUAL_M = (1e-3, 1.0, 1e-4, 2.5e-4, 2e-4, 1e-2)
-_SAMPLES = 3
+_FARTHEST_FINE_M = 6.0
+_SAMPLES, _MOST_CHANGE = 8, 5.0
+# Some cameras write this where they measured nothing.
+_NOTHING = 65535
 # Neighbors that agree this many times better with exchanged bytes tell a wrong byte order.
 _SMOOTHER = 8.0
 
@@ -23,23 +26,26 @@ _SMOOTHER = 8.0
 class DepthUnit:
     """The unit of a source's depth: meters per unit, and where that comes from in words.
 
-    Floats are stored in tenths of a millimeter; `swapped` numbers have their bytes exchanged.
+    Floats are stored in tenths of a millimeter, or in millimeters where they are far; `swapped`
+    numbers have their bytes exchanged; with holes, 65535 means that nothing was measured.
     """
 
     unit_m: float
     origin: str
     is_float: bool = False
+    is_far: bool = False
     swapped: bool = False
+    has_holes: bool = False
 
     @property
     def stored_m(self) -> float:
         """Meters per count of what is stored."""
-        return _FLOAT_STORED_M if self.is_float else self.unit_m
+        return _FLOAT_STORED_M * (10 if self.is_far else 1) if self.is_float else self.unit_m
 
     @property
     def copied(self) -> bool:
         """Whether a 16-bit PNG of the source holds the counts to store."""
-        return not (self.is_float or self.swapped)
+        return not (self.is_float or self.swapped or self.has_holes)
 
     def counts(self, numbers: Shaped[np.ndarray, "rows columns"]) -> UInt16[np.ndarray, "_ _"]:
         """Return the numbers of a source as counts to store; 0 where nothing was measured."""
@@ -48,7 +54,7 @@ class DepthUnit:
         if self.is_float != (numbers.dtype.kind == "f"):
             raise TruncatedError(f"depth of {numbers.dtype}, unlike the first pictures")
         if not self.is_float:
-            return numbers
+            return np.where(numbers == _NOTHING, 0, numbers) if self.has_holes else numbers
         with np.errstate(invalid="ignore", over="ignore"):
             meters = numbers.astype(np.float32) * np.float32(self.unit_m)
             counts = np.rint(meters / np.float32(self.stored_m))
@@ -56,53 +62,74 @@ class DepthUnit:
 
 
 def measured_unit(
-    source: Path, unit: DepthUnit | None, pictures: Iterable[Callable[[], np.ndarray]], ask: str
+    source: Path, unit: DepthUnit | None, pictures: Sequence[Callable[[], np.ndarray]], ask: str
 ) -> DepthUnit:
-    """Return the unit with what the first pictures say of it.
+    """Return the unit with what some pictures say of it.
 
     Args:
         source: path of the source, for messages.
         unit: the unit as the source or the user tells it; None if nobody does.
-        pictures: functions that decode the depth pictures.
+        pictures: functions that decode the depth pictures, in order.
         ask: message where nobody tells the unit.
     """
-    samples = list(islice(_samples(pictures), _SAMPLES))
-    is_float = bool(samples) and samples[0].dtype.kind == "f"
-    samples = [sample for sample in samples if (sample.dtype.kind == "f") == is_float]
-    swapped = bool(samples) and _looks_swapped(samples, 1.0 if unit is None else unit.unit_m)
+    places = np.unique(np.linspace(0, len(pictures) - 1, _SAMPLES).round()).astype(int).tolist()
+    read = {place: sample for place in places if (sample := _sample(pictures[place])) is not None}
+    is_float = any(sample.dtype.kind == "f" for sample in list(read.values())[:1])
+    read = {place: one for place, one in read.items() if (one.dtype.kind == "f") == is_float}
+    swapped = bool(read) and _looks_swapped(
+        list(read.values())[:3], 1.0 if unit is None else unit.unit_m
+    )
     if swapped:
-        samples = [sample.byteswap() for sample in samples]
-    median = _median(samples)
+        read = {place: sample.byteswap() for place, sample in read.items()}
+    medians = {place: median for place, sample in read.items()
+               if (median := _median([sample], unit and unit.unit_m)) is not None}  # fmt: skip
+    if not medians:
+        if unit is None:
+            raise InvalidRecordingError(f"{source}: {ask}")
+        return replace(unit, is_float=is_float, swapped=swapped)
+    median = float(np.median(list(medians.values())))
+    likely = _likely_m(median, unit and unit.unit_m)
+    shown = f"the median depth of the pictures is {median:g} units"
     if unit is None:
-        likely = None if median is None else _likely_m(median, None)
-        if median is not None and likely is not None:
-            ask += f"; their median is {median:g} units, {median * likely:.3f} m with {likely:g}"
-        raise InvalidRecordingError(f"{source}: {ask}")
-    if median is not None and not _is_plausible(median * unit.unit_m):
-        likely = _likely_m(median, unit.unit_m)
+        hint = "" if likely is None else f"; {shown}, {median * likely:.3f} m with {likely:g}"
+        raise InvalidRecordingError(f"{source}: {ask}{hint}")
+    if not _is_plausible(median * unit.unit_m):
         remedy = "record it again, or name other depth pictures"
         if likely is not None:
             remedy = f"give --depth-unit-m {likely:g}, which makes it {median * likely:.3f} m"
         raise InvalidRecordingError(
-            f"{source}: the median depth of the first pictures is {median:g} units, "
-            f"{median * unit.unit_m:.3g} m with a unit of {unit.unit_m:g} m ({unit.origin}); "
-            f"plausible is {NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m; {remedy}"
+            f"{source}: {shown}, {median * unit.unit_m:.3g} m with a unit of {unit.unit_m:g} m "
+            f"({unit.origin}); plausible is {NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m; "
+            f"{remedy}"
         )
-    return replace(unit, is_float=is_float, swapped=swapped)
+    for (here, before), (there, after) in pairwise(medians.items()):
+        if not 1 / _MOST_CHANGE < after / before < _MOST_CHANGE:
+            raise InvalidRecordingError(
+                f"{source}: the median depth is {before:g} units in picture {here} and {after:g} "
+                f"in picture {there}, so the unit changed; cut the source there"
+            )
+    far = is_float and max(medians.values()) * unit.unit_m > _FARTHEST_FINE_M
+    holes = not is_float and any((sample == _NOTHING).mean() > 0.01 for sample in read.values())
+    return replace(unit, is_float=is_float, swapped=swapped, is_far=far, has_holes=holes)
 
 
-def _samples(pictures: Iterable[Callable[[], np.ndarray]]) -> Iterator[np.ndarray]:
-    for picture in pictures:
-        try:
-            yield picture()
-        except TruncatedError:
-            continue
+def _sample(picture: Callable[[], np.ndarray]) -> np.ndarray | None:
+    try:
+        return picture()
+    except TruncatedError:
+        return None
 
 
-def _median(samples: list[np.ndarray]) -> float | None:
-    valid = [sample[np.isfinite(sample) & (sample > 0)] for sample in samples]
-    valid = [values for values in valid if values.size]
-    return float(np.median(np.concatenate(valid))) if valid else None
+def _median(samples: list[np.ndarray], unit_m: float | None = None) -> float | None:
+    """Return the median of what was measured: of the plausible where they are a tenth."""
+    values = np.concatenate([sample[np.isfinite(sample) & (sample > 0)] for sample in samples])
+    if values.dtype == np.uint16:
+        values = values[values != _NOTHING]
+    if unit_m is not None:
+        meters = values * unit_m
+        plausible = values[(meters >= NEAREST_MEDIAN_M) & (meters <= FARTHEST_MEDIAN_M)]
+        values = plausible if len(plausible) > 0.1 * len(values) else values
+    return float(np.median(values)) if values.size else None
 
 
 def _looks_swapped(samples: list[np.ndarray], unit_m: float) -> bool:

@@ -46,8 +46,10 @@ class RobotState:
         Raises:
             TruncatedError: the message has no position.
         """
-        self._tip_frame, position = position_of(topic, decode(topic, data))
-        self._tip.add(header_stamp_ns(topic, data) or sent_ns, np.array(position))
+        found = position_of(topic, decode(topic, data))
+        if found is not None:
+            self._tip_frame, position = found
+            self._tip.add(header_stamp_ns(topic, data) or sent_ns, np.array(position))
 
     def note_transforms(self, topic: Topic, data: bytes, sent_ns: int) -> None:
         """Store the transforms of a TF message.
