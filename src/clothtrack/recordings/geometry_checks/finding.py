@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.recordings.geometry_checks.corrections import Correction
 from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer, SmallPictures
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording, Table
@@ -32,7 +31,6 @@ class Finding:
         text: the finding in one sentence, with the remedy.
         severity: "doubt" if a trajectory tracked from this recording must not be trusted; "note" if
             it loses a little accuracy.
-        correction: the correction, if it can be computed.
     """
 
     kind: str
@@ -42,7 +40,6 @@ class Finding:
     field: str
     text: str
     severity: Literal["doubt", "note"] = "doubt"
-    correction: Correction | None = None
 
 
 class ObservedFrames:
