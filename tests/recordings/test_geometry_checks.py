@@ -274,11 +274,21 @@ def unconfirmed(recording, factor=1.0):
 
 def test_a_scale_that_nothing_confirms_is_a_usual_one(film):
     assert check_geometry(unconfirmed(film)) == ()
-    for factor, shown in ((0.25, "side is 0.07"), (4.0, "camera is 2.8 m above"), (0.1, "side is 0.0")):
+    for factor, shown in (
+        (0.25, "side is 0.07"),
+        (4.0, "camera is 2.6 m above"),
+        (0.1, "side is 0.0"),
+    ):
         found = check_geometry(unconfirmed(film, factor))
         assert [each.kind for each in found] == ["scale"]
         assert shown in found[0].text
         assert "depth_unit_m" in found[0].text
+    # So does the size of the cloth, or a world that another camera has measured.
+    stated = with_cloth(unconfirmed(film, 0.25), size_m=(WIDTH_M, LENGTH_M))
+    for wrong in (stated, with_unit(film, 0.25), with_unit(film, 4.0)):
+        (found,) = check_geometry(wrong)
+        assert found.kind == "depth_unit"
+        assert found.text.endswith("is likely to be 0.0005")
     # What a ruler measures confirms a doll's towel.
     size = (0.25 * WIDTH_M, 0.25 * LENGTH_M)
     assert check_geometry(with_cloth(unconfirmed(film, 0.25), size_m=size)) == ()

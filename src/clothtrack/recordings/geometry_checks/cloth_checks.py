@@ -11,8 +11,8 @@ from clothtrack.recordings.geometry_checks.finding import (
     Finding,
     ObservedFrames,
     on_table,
-    power_of_ten,
     reaches_rim,
+    unit_factor,
 )
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.point_cloud import Observation
@@ -112,7 +112,7 @@ def cloth_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
 
 
 def _scale(recording: Recording, observation: Observation) -> Finding | None:
-    """Return a finding if sizes are wrong by a power of ten, because the depth unit is wrong."""
+    """Return a finding if sizes are those of another unit, because the depth unit is wrong."""
     cloth, camera = recording.cloth, recording.cameras[0]
     if not recording.frames[0].depth:
         return None
@@ -123,7 +123,7 @@ def _scale(recording: Recording, observation: Observation) -> Finding | None:
     else:
         return _unmeasured(recording, observation)
     measured = _longest(observation.points)
-    factor = power_of_ten(measured / expected)
+    factor = unit_factor(measured / expected)
     if factor is None:
         return None
     field = "cameras[0].depth_unit_m"
