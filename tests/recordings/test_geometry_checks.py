@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.table_plane import world_from_table
 from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.mesh_gap import mesh_gap_m
 from clothtrack.recordings.geometry_checks.picker_clock import picker_lag
 from clothtrack.recordings.inspection import inspect
+from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -64,9 +67,17 @@ def towel_film(tmp_path_factory):
     return drawn(tmp_path_factory.mktemp("film") / "towel", camera())
 
 
-def drawn(folder, eye):
-    ground = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
-    table = Rasterizer(np.array([[0, 1, 2], [0, 2, 3]]), eye).render(ground).depth
+def hung(vertices, edge_m):
+    """What is beyond an edge of the table, towards -y, hangs down from it."""
+    beyond = np.maximum(edge_m - vertices[:, 1], 0.0)
+    return vertices + beyond[:, None] * (0.0, 1.0, -1.0)
+
+
+def drawn(folder, eye, edge_m=-9.0):
+    ground = np.array([[-9.0, edge_m, 0], [9, edge_m, 0], [9, 9, 0], [-9, 9, 0]])
+    plane = Rasterizer(np.array([[0, 1, 2], [0, 2, 3]]), eye)
+    floor = np.array([[-9.0, -9, -0.6], [9, -9, -0.6], [9, 9, -0.6], [-9, 9, -0.6]])
+    table = np.minimum(plane.render(ground).depth, plane.render(floor).depth)
     draw = Rasterizer(towel(0.0).faces, eye)
     with RecordingWriter(
         folder,
@@ -76,7 +87,7 @@ def drawn(folder, eye):
         cloth=ClothDescription("towel", None, (WIDTH_M, LENGTH_M), towel(0.0)),
     ) as writer:
         for frame in range(FRAMES):
-            cloth = draw.render(towel(progress_at(frame)).vertices).depth
+            cloth = draw.render(hung(towel(progress_at(frame)).vertices, edge_m)).depth
             writer.add_frame(
                 frame / RATE, color={}, depth={"top": np.minimum(table, cloth)},
                 mask={"top": cloth < table}, cloud=None,
@@ -250,3 +261,66 @@ def test_inspect_leaves_a_doubtful_recording_valid(towel_film, tmp_path, edit):
     assert found["unit"] == "m"
     assert found["measured"] == pytest.approx(LENGTH_M, abs=0.01)
     assert found["limit"] == pytest.approx(0.6)
+
+
+def unconfirmed(recording, factor=1.0):
+    """Depth, world and path in a unit that is wrong by a factor, without size and template."""
+    pose = np.array(recording.cameras[0].world_from_camera)
+    pose[:3, 3] *= factor
+    path = recording.picker_paths["hand"].positions
+    smaller = with_path(with_unit(recording, factor), positions=factor * path)
+    return with_cloth(with_camera(smaller, world_from_camera=pose), size_m=None, template=None)
+
+
+def test_a_scale_that_nothing_confirms_is_a_usual_one(film):
+    assert check_geometry(unconfirmed(film)) == ()
+    for factor, shown in (
+        (0.25, "side is 0.07"),
+        (4.0, "camera is 2.6 m above"),
+        (0.1, "side is 0.0"),
+    ):
+        found = check_geometry(unconfirmed(film, factor))
+        assert [each.kind for each in found] == ["scale"]
+        assert shown in found[0].text
+        assert "depth_unit_m" in found[0].text
+    # With a size, or a pose that is not from the depth, the unit itself is named.
+    stated = with_cloth(unconfirmed(film, 0.25), size_m=(WIDTH_M, LENGTH_M))
+    for wrong in (stated, with_unit(film, 0.25), with_unit(film, 4.0)):
+        (found,) = check_geometry(wrong)
+        assert found.kind == "depth_unit"
+        assert found.text.endswith("is likely to be 0.0005")
+    # What a ruler measures confirms a doll's towel.
+    size = (0.3 * WIDTH_M, 0.3 * LENGTH_M)
+    assert check_geometry(with_cloth(unconfirmed(film, 0.3), size_m=size)) == ()
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_lens_of_another_picture_size_is_found_without_a_size(film, factor):
+    eye = film.cameras[0]
+    eye = replace(eye, fx=factor * eye.fx, fy=factor * eye.fy)
+    wrong = with_cloth(replace(film, cameras=(eye,)), size_m=None, template=None)
+    # The pose is that of the depth with this lens, as calibrate-camera makes it.
+    fitted = world_from_table(eye, fit_recorded_table(wrong, eye))
+    found = check_geometry(with_camera(wrong, world_from_camera=fitted))
+    assert [(each.kind, each.field) for each in found] == [("scale", "cameras[0].fx, fy")]
+
+
+def test_a_towel_is_no_shirt(film):
+    shirt = garment("tshirt", vertex_count=300, size_m=(WIDTH_M, LENGTH_M))
+    laid = shirt.with_vertices(shirt.vertices - shirt.vertices.mean(axis=0) + (0, 0, 0.003))
+    alone = {"kind": "tshirt", "template": None}
+    for cloth, kind in (
+        (alone, "garment_kind"),
+        (alone | {"size_m": None}, "garment_kind"),
+        ({"kind": "tshirt", "template": laid}, "template"),
+    ):
+        assert kind in [each.kind for each in check_geometry(with_cloth(film, **cloth))]
+
+
+def test_cloth_over_the_edge_of_the_table_is_found(tmp_path):
+    beside = read_recording(drawn(tmp_path / "beside", camera(), edge_m=-0.19))
+    assert check_geometry(beside) == ()
+    over = read_recording(drawn(tmp_path / "over", camera(), edge_m=-0.11))
+    (found,) = check_geometry(with_cloth(over, size_m=None, template=None))
+    assert (found.kind, found.field) == ("cloth_over_edge", "frames[0]")
+    assert found.measured == pytest.approx(WIDTH_M, abs=0.05)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 def inspect_many(
     artifacts: Sequence[Path | str],
     *,
-    suggest: Path | str | None = None,
     progress: "Progress | None" = None,
 ) -> "Many[Inspection | Verification]":
     """Check that artifacts are readable and unchanged, and list what is wrong.
@@ -29,27 +28,22 @@ def inspect_many(
     Args:
         artifacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
             (.safetensors), folders of states or of the benchmark.
-        suggest: folder for a copy of the recording in which doubtful values are corrected where
-            that can be computed; the recording itself stays as it is.
         progress: called with how much is done.
 
     Raises:
-        InvalidConfigError: `suggest` is given for anything but one recording, or an artifact is a
-            folder of results.
+        InvalidConfigError: an artifact is a folder of results.
     """
     from clothtrack.api.verification import verify
     from clothtrack.files.progress import one_of
     from clothtrack.recordings.inspection import inspect
 
-    if suggest is not None and not (len(artifacts) == 1 and _is_recording(Path(artifacts[0]))):
-        raise InvalidConfigError("--suggest corrects one recording; name one alone")
     for folder in map(Path, artifacts):
         if held := _results_in(folder):
             raise InvalidConfigError(f"{folder}: is a folder of results; name them: {held}")
     found = []
     for done, artifact in enumerate(map(Path, artifacts)):
         if _is_recording(artifact):
-            found.append(inspect(artifact, suggest=None if suggest is None else Path(suggest)))
+            found.append(inspect(artifact))
         else:
             of_all = one_of(progress, done, len(artifacts))
             found.append(verify(artifact, progress=of_all))

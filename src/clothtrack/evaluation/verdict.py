@@ -326,15 +326,9 @@ def _of_finding(finding: Finding) -> Evidence:
     """Return a finding of the recording's checks as evidence."""
     return Evidence(
         finding.kind, finding.measured, finding.limit, finding.unit,
-        "look" if finding.severity == "doubt" else "trust", finding.text, _remedy(finding),
+        "look" if finding.severity == "doubt" else "trust", finding.text,
+        "clothtrack inspect RECORDING",
     )  # fmt: skip
-
-
-def _remedy(finding: Finding) -> str:
-    """Return the command that shows or corrects a finding."""
-    if finding.correction is None:
-        return "clothtrack inspect RECORDING"
-    return "clothtrack inspect RECORDING --suggest CORRECTED"
 
 
 def _measured(name: str, measured: float, text: str) -> Evidence:

@@ -9,9 +9,7 @@ from jaxtyping import Float
 
 from clothtrack._shown import short_repr
 from clothtrack.errors import ClothTrackError
-from clothtrack.recordings.corrected_copy import write_corrected
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
-from clothtrack.recordings.geometry_checks.corrections import Correction
 from clothtrack.recordings.geometry_checks.finding import Finding, reaches_rim
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.point_cloud import observe
@@ -32,8 +30,6 @@ class Inspection:
         notes: what is allowed but worth knowing before tracking.
         violations: everything that is wrong; empty for a valid recording.
         geometry: where the pictures of a valid recording contradict it; empty for a right one.
-        corrections: corrections of the written copy; empty if none was requested.
-        corrected: folder of that copy.
     """
 
     folder: Path
@@ -41,8 +37,6 @@ class Inspection:
     notes: tuple[str, ...]
     violations: tuple[Violation, ...]
     geometry: tuple[Finding, ...] = ()
-    corrections: tuple[Correction, ...] = ()
-    corrected: Path | None = None
 
     __repr__ = short_repr
 
@@ -74,11 +68,6 @@ class Inspection:
         words = {"doubt": "doubtful", "note": "note"}
         lines += [f"  {words[finding.severity]}: {finding.text}" for finding in self.geometry]
         lines += [f"  note: {note}" for note in self.notes]
-        if self.corrected is not None:
-            lines += [
-                f"corrected  {self.corrected}   ({', '.join(map(repr, self.corrections))})",
-                f"next       clothtrack inspect {self.corrected}",
-            ]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, object]:
@@ -93,28 +82,15 @@ class Inspection:
             "facts": dict(self.facts),
             "notes": list(self.notes),
             "violations": [asdict(violation) for violation in self.violations],
-            "geometry": [_as_dict(finding) for finding in self.geometry],
+            "geometry": [asdict(finding) for finding in self.geometry],
         }
 
 
-def _as_dict(finding: Finding) -> dict[str, object]:
-    """Return a finding for a program, with the kind of its correction."""
-    content = asdict(finding)
-    if finding.correction is not None:
-        content["correction"] = {"kind": type(finding.correction).__name__, **content["correction"]}
-    return content
-
-
-def inspect(folder: Recording | Path | str, *, suggest: Path | None = None) -> Inspection:
+def inspect(folder: Recording | Path | str) -> Inspection:
     """Inspect a recording: decode every picture, and compare the stated geometry with them.
 
     Args:
         folder: folder with a recording.json; or a `Recording`, read or made of arrays.
-        suggest: folder for a copy in which doubtful values are corrected, if computable.
-
-    Raises:
-        InvalidRecordingError: nothing that was found can be corrected.
-        StorageError: the copy cannot be written.
     """
     if isinstance(folder, Recording):
         recording, folder = folder, folder.folder
@@ -126,8 +102,7 @@ def inspect(folder: Recording | Path | str, *, suggest: Path | None = None) -> I
             return Inspection(folder, {}, (), checked.violations)
     geometry = check_geometry(recording)
     notes = _notes(recording, cut_off=any(f.kind == "cloth_leaves_picture" for f in geometry))
-    made = () if suggest is None else write_corrected(recording, geometry, suggest)
-    return Inspection(folder, _facts(recording), notes, (), geometry, made, suggest)
+    return Inspection(folder, _facts(recording), notes, (), geometry)
 
 
 def _facts(recording: Recording) -> dict[str, str]:

@@ -236,11 +236,9 @@ def _refuse_wrong_units(recording: Recording) -> None:
     Simulating a minute per frame would take hours, and so would the points of a cloth of 4 m.
     """
     for finding in time_findings(recording):
-        if finding.kind == "clock_unit" and finding.correction is not None:
+        if finding.kind == "clock_unit" and finding.unit == "s":
             raise InvalidRecordingError(
-                f"{recording.folder}: stopped, {finding.text}; clothtrack inspect "
-                f"{recording.folder} --suggest OUT writes a corrected copy, and --force tracks it "
-                "as it is"
+                f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
             )
     for finding in unit_findings(recording):
         raise InvalidRecordingError(

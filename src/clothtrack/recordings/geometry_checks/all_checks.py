@@ -9,8 +9,7 @@ from clothtrack.recordings.geometry_checks.camera_checks import camera_findings
 from clothtrack.recordings.geometry_checks.camera_motion import camera_motion_findings
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.cloth_checks import cloth_findings
-from clothtrack.recordings.geometry_checks.color_checks import color_findings, registration
-from clothtrack.recordings.geometry_checks.corrections import StreamDelay
+from clothtrack.recordings.geometry_checks.color_checks import registration
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
 from clothtrack.recordings.geometry_checks.lens_checks import lens_findings
 from clothtrack.recordings.geometry_checks.mask_checks import mask_findings
@@ -41,7 +40,7 @@ def check_geometry(
     if cameras:
         return (*cameras, *alone)
     cloth = cloth_findings(recording, frames)
-    if any(finding.kind in ("depth_unit", "cloth_height") for finding in cloth):
+    if any(finding.kind in ("depth_unit", "scale", "cloth_height") for finding in cloth):
         return (*cloth, *alone)
     if any(finding.kind == "clock_unit" for finding in alone):
         return (*alone, *cloth)
@@ -66,26 +65,26 @@ def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list
         return alone
     stream = stream_findings(recording, pictures)
     color = registration(pictures)
-    if color is not None and color.correction is not None:
+    if color is not None and color.finding is not None:
         in_step = registration(_in_step(pictures, stream))
-        if in_step is not None and in_step.correction is None and in_step.fit >= color.fit:
+        if in_step is not None and in_step.finding is None and in_step.fit >= color.fit:
             color = in_step  # A late stream shows things at other places.
         elif in_step is not None:
             stream = [finding for finding in stream if finding.kind != "stream_delay"]
-    placed = [] if color is None else color_findings(pictures, color)
+    placed = [] if color is None or color.finding is None else [color.finding]
     pushed = camera_motion_findings(recording, pictures)
     return [*alone, *pushed, *stream, *placed, *mask_findings(recording, pictures)]
 
 
 def _in_step(pictures: SmallPictures, findings: list[Finding]) -> SmallPictures:
     """Return the pictures with the delay of one stream removed."""
-    delays = [each.correction for each in findings if isinstance(each.correction, StreamDelay)]
+    delays = [each for each in findings if each.kind == "stream_delay"]
     if not delays or pictures.color is None:
         return pictures
     (delay,) = delays
-    count = len(pictures.frames) - delay.frames
-    later, earlier = np.arange(delay.frames, len(pictures.frames)), np.arange(count)
-    color, height = (later, earlier) if delay.stream == "color" else (earlier, later)
+    count = len(pictures.frames) - int(delay.measured)
+    later, earlier = np.arange(int(delay.measured), len(pictures.frames)), np.arange(count)
+    color, height = (later, earlier) if delay.field.endswith("color") else (earlier, later)
     return replace(
         pictures,
         frames=pictures.frames[:count],

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.table_plane import TableFit
-from clothtrack.recordings.geometry_checks.finding import Finding, power_of_ten
+from clothtrack.recordings.geometry_checks.finding import Finding, unit_factor
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import Recording, Table
@@ -52,7 +52,7 @@ def camera_findings(recording: Recording) -> list[Finding]:
 
 
 def unit_findings(recording: Recording) -> list[Finding]:
-    """Return cameras whose depth is a power of ten times that of the recorded table."""
+    """Return cameras whose depth is that of the recorded table in another unit."""
     if recording.table is None:
         return []
     found = [
@@ -84,7 +84,7 @@ def _coarse(recording: Recording, camera: Camera) -> Finding | None:
 
 
 def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) -> Finding | None:
-    """Return a finding if the depth is that of the recorded table, times a power of ten."""
+    """Return a finding if the depth is that of the recorded table in another unit."""
     frame = next(frame for frame in recording.frames if camera.name in frame.depth)
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     normal, height = _recorded(camera.world_from_camera, table)
@@ -99,7 +99,7 @@ def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) 
         return None
     logs = np.log10(depth[seen] * away[seen] / height)
     low, middle, high = np.percentile(logs, [25, 50, 75])
-    factor = power_of_ten(float(10.0**middle))
+    factor = unit_factor(float(10.0**middle))
     if factor is None or high - low > _SPREAD:
         return None
     unit_m, field = recording.depth_units_m[camera.name], f"cameras[{place}].depth_unit_m"

@@ -4,7 +4,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from clothtrack.recordings.geometry_checks.corrections import ClockScale
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import PickerPath, Recording
 
@@ -67,7 +66,6 @@ def _unit(recording: Recording, times: np.ndarray) -> list[Finding]:
         Finding(
             "clock_unit", step_s, limit, "s" if wrong_step else "m/s", "frames: time_s",
             f"{told}: {remedy}",
-            correction=None if factor is None else ClockScale(factor),
         )
     ]  # fmt: skip
 

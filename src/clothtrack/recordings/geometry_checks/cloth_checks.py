@@ -11,8 +11,8 @@ from clothtrack.recordings.geometry_checks.finding import (
     Finding,
     ObservedFrames,
     on_table,
-    power_of_ten,
     reaches_rim,
+    unit_factor,
 )
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.point_cloud import Observation
@@ -38,8 +38,36 @@ _TOWEL_FILL = 0.75
 """Least share of its rectangle that a flat towel covers: at least 0.83 if a fifth of the depth is
 missing; a towel with a corner folded to its middle covers 0.75."""
 
+_SHIRT_FILL = 0.92
+"""Largest share of its rectangle that a shirt with spread sleeves covers: 0.70 in simulation, and
+0.76 of a boxy cut. A flat towel covers 1.02 to 1.04, counted in whole squares."""
+
+_FILL_TOLERANCE = 0.15
+"""Largest difference of the shares of their rectangles that a flat template and the cloth cover.
+It is at most 0.05 on right recordings."""
+
 _FILL_CELL_M = 0.008
 """Side of the squares that are counted as covered [m]: twice the distance of the points."""
+
+_USUAL_M = (0.15, 1.3)
+"""Longer side of a cloth [m] that is believed without `size_m` and template, from a cocktail napkin
+to a bath towel: a depth unit that is wrong by 4 makes 8 cm or 1.6 m of a tea towel."""
+
+_USUAL_ABOVE_M = (0.25, 2.0)
+"""Height of a camera above the table [m] that is believed then. Depth cameras measure from 0.25 m
+on; at 2 m one pixel is as wide as a fold."""
+
+_USUAL_FOCAL = (0.47, 1.4)
+"""Focal length over the longer side of the picture that is believed then: from the 94 degrees of an
+Azure Kinect to 39. Intrinsics of twice or half the picture size lie outside, or nearly so."""
+
+_DROP_M = 0.03
+"""What is this far under the table [m] is the floor beyond its edge."""
+
+_LONGEST_AT_EDGE_M = 0.06
+"""Rim of the cloth [m] that may lie within a reduced pixel (5 mm) of the table's edge."""
+
+_NEIGHBORS = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +107,12 @@ def cloth_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
         findings.insert(0, height)
         if height is None and not cut_away:
             findings += [_flatness(recording, spread), _size(recording, spread)]
+        findings.append(_over_edge(recording, frames, recording.table))
     return [finding for finding in findings if finding is not None]
 
 
 def _scale(recording: Recording, observation: Observation) -> Finding | None:
-    """Return a finding if sizes are wrong by a power of ten, because the depth unit is wrong."""
+    """Return a finding if sizes are those of another unit, because the depth unit is wrong."""
     cloth, camera = recording.cloth, recording.cameras[0]
     if not recording.frames[0].depth:
         return None
@@ -92,9 +121,9 @@ def _scale(recording: Recording, observation: Observation) -> Finding | None:
     elif cloth.template is not None:
         expected = _longest(cloth.template.vertices)
     else:
-        return None
+        return _unmeasured(recording, observation)
     measured = _longest(observation.points)
-    factor = power_of_ten(measured / expected)
+    factor = unit_factor(measured / expected)
     if factor is None:
         return None
     field = "cameras[0].depth_unit_m"
@@ -104,6 +133,32 @@ def _scale(recording: Recording, observation: Observation) -> Finding | None:
         f"the cloth is {measured:.3g} m long in the first frame and {expected:.3g} m by its size: "
         f"correct {field}, {unit_m:g} is likely to be {unit_m / factor:g}",
     )  # fmt: skip
+
+
+def _unmeasured(recording: Recording, observation: Observation) -> Finding | None:
+    """Return a finding if cloth and camera are unusual and no size or template confirms them."""
+    if recording.table is None:
+        return None
+    camera, table = recording.cameras[0], recording.table
+    unit_m = recording.depth_units_m.get(camera.name, 0.001)
+    unit, lens = f"cameras[0].depth_unit_m ({unit_m:g})", "cameras[0].fx, fy"
+    places, _ = on_table(observation.points, table)
+    _, above_m = on_table(camera.position[None], table)
+    focal = max(camera.fx, camera.fy) / max(camera.width, camera.height)
+    for measured, (low, high), name, shown, field in (
+        (_sides(places)[0], _USUAL_M, "m", "the cloth's longer side is {} m", unit),
+        (float(above_m[0]), _USUAL_ABOVE_M, "m", "the camera is {} m above the table", unit),
+        (focal, _USUAL_FOCAL, "", "fx and fy are {} of the picture's longer side", lens),
+    ):
+        if low <= measured <= high:
+            continue
+        return Finding(
+            "scale", measured, low if measured < low else high, name, field.split(" (")[0],
+            f"{shown.format(f'{measured:.2g}')} ({low:g} to {high:g} are usual), and no size or "
+            f"template confirms it: correct {field}, or give cloth.size_m, width and length as a "
+            "ruler measures them",
+        )  # fmt: skip
+    return None
 
 
 def _height(spread: _Spread) -> Finding | None:
@@ -149,7 +204,7 @@ def _flat_template(
         return None
     worst = _worst_side(spread, _sides(places))
     if worst is None:
-        return _beside(recording, spread, places)
+        return _other_shape(spread, template, places) or _beside(recording, spread, places)
     (long, short), (seen_long, seen_short) = _sides(places), spread.sides_m
     return Finding(
         "template", *worst, "m", "cloth.template",
@@ -157,6 +212,25 @@ def _flat_template(
         f"{seen_long:.2f} x {seen_short:.2f} m (a side may differ by "
         f"{100 * _SIZE_TOLERANCE:.0f} %):"
         " scale cloth.template, or correct fx and fy of the camera",
+    )  # fmt: skip
+
+
+def _other_shape(
+    spread: _Spread, template: ClothMesh, places: Float[np.ndarray, "vertices 2"]
+) -> Finding | None:
+    """Return a finding if a flat template of the right size has another outline."""
+    corners = ((places - places.min(axis=0)) / _FILL_CELL_M).astype(np.int32)
+    covered = np.zeros(corners.max(axis=0)[::-1] + 1, np.uint8)
+    for face in template.faces:
+        cv2.fillConvexPoly(covered, corners[face], 1)
+    fill = float(covered.sum() * _FILL_CELL_M**2 / np.prod(_sides(places)))
+    if spread.cut_off or abs(fill - spread.fill) <= _FILL_TOLERANCE:
+        return None
+    return Finding(
+        "template", spread.fill, fill, "", "cloth.template",
+        f"the cloth of the first frame covers {100 * spread.fill:.0f} % of the rectangle around "
+        f"it, the template {100 * fill:.0f} % (they may differ by {100 * _FILL_TOLERANCE:.0f} %): "
+        "give the template of this garment (clothtrack garment makes it), or cloth.kind alone",
     )  # fmt: skip
 
 
@@ -203,6 +277,13 @@ def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
             f"the towel does not lie flat in the first frame, it covers {100 * spread.fill:.0f} % "
             f"of the rectangle around it (at least {100 * _TOWEL_FILL:.0f} %): {remedy}",
         )  # fmt: skip
+    if recording.cloth.kind == "tshirt" and spread.fill > _SHIRT_FILL:
+        return Finding(
+            "garment_kind", spread.fill, _SHIRT_FILL, "", "cloth.kind",
+            f"the cloth covers {100 * spread.fill:.0f} % of the rectangle around it in the first "
+            f"frame, a T-shirt at most {100 * _SHIRT_FILL:.0f} %: correct cloth.kind, or begin "
+            "with its sleeves spread out",
+        )  # fmt: skip
     return None
 
 
@@ -228,6 +309,38 @@ def _size(recording: Recording, spread: _Spread) -> Finding | None:
         f"{size[0]:g} x {size[1]:g} m (a side may differ by {100 * _SIZE_TOLERANCE:.0f} %): "
         f"{remedy}",
     )  # fmt: skip
+
+
+def _over_edge(recording: Recording, frames: ObservedFrames, table: Table) -> Finding | None:
+    """Return a finding if cloth at the height of the table borders on a floor below it."""
+    pictures = frames.small
+    if pictures is None:
+        return None
+    camera, factor = pictures.camera, pictures.factor
+    for frame in sorted({0, *(action.last_frame for action in recording.actions)}):
+        seen = frames.at(frame)
+        if seen is None or frame not in pictures.frames:
+            continue
+        height_m = pictures.height_m[pictures.frames.index(frame)]
+        drop = (height_m < -_DROP_M).astype(np.uint8)
+        # Depth is often missing along a step.
+        drop = cv2.dilate(drop, _NEIGHBORS) & ((drop > 0) | np.isnan(height_m))
+        low = seen.points[on_table(seen.points, table)[1] < _THICK_M]
+        spots, depth_m = camera.project(low)
+        columns, rows = (spots / factor).astype(int).T
+        inside = (rows >= 0) & (rows < drop.shape[0]) & (columns >= 0) & (columns < drop.shape[1])
+        rim = np.zeros_like(drop)
+        rim[rows[inside], columns[inside]] = 1
+        rim &= cv2.dilate(drop, _NEIGHBORS)
+        length_m = float(rim.sum() * factor * np.median(depth_m) / camera.fx) if len(low) else 0.0
+        if length_m > _LONGEST_AT_EDGE_M:
+            return Finding(
+                "cloth_over_edge", length_m, _LONGEST_AT_EDGE_M, "m", f"frames[{frame}]",
+                f"{100 * length_m:.0f} cm of the cloth's rim lie at the table's edge in frame "
+                f"{frame} (at most {100 * _LONGEST_AT_EDGE_M:.0f}), and what hangs over it is not "
+                "tracked: keep the cloth on the table, or leave out the actions that move it there",
+            )  # fmt: skip
+    return None
 
 
 def _spread(observation: Observation, table: Table) -> _Spread:

@@ -19,13 +19,6 @@ from clothtrack.recordings.geometry_checks.change_maps import (
     height_edges,
     moving,
 )
-from clothtrack.recordings.geometry_checks.corrections import (
-    ColorFlip,
-    ColorScale,
-    ColorShift,
-    ColorTurn,
-    Correction,
-)
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 
@@ -59,6 +52,12 @@ _LEAST_TURN_GAIN = 0.12
 _LEAST_SHIFT_GAIN = 0.05
 """The same gain for a shift on which motion and edges agree."""
 
+_FLIPS = {
+    "left to right": np.s_[:, :, ::-1],
+    "upside down": np.s_[:, ::-1],
+    "by half a turn": np.s_[:, ::-1, ::-1],
+}
+
 _Maps = Float[np.ndarray, "frames rows columns"]
 _Pairs = tuple[tuple[_Maps, _Maps], ...]
 
@@ -68,14 +67,12 @@ class Registration:
     """The registration of the color to the depth.
 
     Attributes:
-        correction: the correction that would place it clearly better; None if none would.
-        fit: sum of the correlations of motion and edges, with the correction.
-        as_recorded: the same as recorded.
+        finding: how it would be placed clearly better; None if it is in place.
+        fit: sum of the correlations of motion and edges, placed so.
     """
 
-    correction: ColorFlip | ColorShift | ColorScale | ColorTurn | None
+    finding: Finding | None
     fit: float
-    as_recorded: float
 
 
 def registration(pictures: SmallPictures) -> Registration | None:
@@ -84,12 +81,17 @@ def registration(pictures: SmallPictures) -> Registration | None:
     if pairs is None:
         return None
     as_recorded = _fit_in_place(pairs)
-    flips = [ColorFlip(True, False), ColorFlip(False, True), ColorFlip(True, True)]
-    turned = [_fit_in_place(_changed(pairs, lambda m, f=f: _turned(m, f))) for f in flips]
-    best = int(np.argmax(turned))
+    turned = {
+        name: _fit_in_place(_changed(pairs, lambda maps, steps=steps: maps[steps]))
+        for name, steps in _FLIPS.items()
+    }
+    best = max(turned, key=lambda name: turned[name])
     if turned[best] >= max(LEAST_FIT, as_recorded + LEAST_GAIN):
-        return Registration(flips[best], turned[best], as_recorded)
-    right = Registration(None, as_recorded, as_recorded)
+        return _misplaced(
+            "color_mirrored", turned[best], as_recorded, (turned[best], as_recorded + LEAST_GAIN),
+            f"turned {best}",
+        )  # fmt: skip
+    right = Registration(None, as_recorded)
     shift, fit = _best_shift(pairs)
     if _length(shift) <= _LARGEST_SHIFT and fit >= 2 * LEAST_FIT:
         return right
@@ -101,7 +103,9 @@ def registration(pictures: SmallPictures) -> Registration | None:
     if min(_length(shift), _length(edges_shift)) <= _LARGEST_SHIFT or not agreed or not gained:
         return right
     columns, rows = (pixels * pictures.factor for pixels in edges_shift)
-    return Registration(ColorShift(columns, rows), fit, as_recorded)
+    away, limit = float(np.hypot(columns, rows)), float(_LARGEST_SHIFT * pictures.factor)
+    shown = f"moved by ({columns}, {rows}) pixels (at most {limit:.0f})"
+    return _misplaced("color_shift", fit, as_recorded, (away, limit), shown, unit="px")
 
 
 def _similarity(pairs: _Pairs, fit: float, as_recorded: float) -> Registration | None:
@@ -109,57 +113,32 @@ def _similarity(pairs: _Pairs, fit: float, as_recorded: float) -> Registration |
     scale, scaled = _best(pairs, SCALES, lambda factor: (0.0, factor))
     turn, turned_fit = _best(pairs, TURNS_DEG, lambda degrees: (degrees, 1.0))
     if scaled >= max(LEAST_FIT, fit + LEAST_GAIN, turned_fit):
-        return Registration(ColorScale(scale), scaled, as_recorded)
+        shown = f"{scale:.2f} times as large, as that of another stream or picture size"
+        return _misplaced("color_scale", scaled, as_recorded, (scale, 1.0), shown)
     if turned_fit >= max(LEAST_FIT, fit + _LEAST_TURN_GAIN):
         near = [turn + by for by in (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)]
         turn, turned_fit = _best(pairs, near, lambda degrees: (degrees, 1.0))
-        return Registration(ColorTurn(turn), turned_fit, as_recorded)
+        shown = f"turned by {turn:.0f} degrees (at most {_LARGEST_TURN_DEG:g})"
+        limits = abs(turn), _LARGEST_TURN_DEG
+        return _misplaced("color_turned", turned_fit, as_recorded, limits, shown, unit="deg")
     return None
 
 
-def color_findings(pictures: SmallPictures, found: Registration) -> list[Finding]:
-    """Return where the color is not registered to the depth: at most one finding."""
-    if found.correction is None:
-        return []
-    return [_finding(pictures, found.correction, found.fit, found.as_recorded)]
-
-
-def _finding(
-    pictures: SmallPictures, correction: Correction, fit: float, as_recorded: float
-) -> Finding:
-    told = f"(correlation {fit:.2f} against {as_recorded:.2f} as recorded)"
-    remedy = "give color pictures that are registered to the depth, or leave color and masks out"
-    if isinstance(correction, ColorShift):
-        measured = float(np.hypot(correction.columns, correction.rows))
-        limit = float(_LARGEST_SHIFT * pictures.factor)
-        return Finding(
-            "color_shift", measured, limit, "px", "frames: color",
-            f"the color fits the depth when it is moved by ({correction.columns}, "
-            f"{correction.rows}) pixels {told} (at most {limit:.0f}): {remedy}",
-            correction=correction,
-        )  # fmt: skip
-    if isinstance(correction, ColorFlip):
-        sides = "left to right" if correction.columns else "upside down"
-        sides = "by half a turn" if correction.columns and correction.rows else sides
-        return Finding(
-            "color_mirrored", fit, as_recorded + LEAST_GAIN, "", "frames: color",
-            f"the color fits the depth when it is turned {sides} {told}: {remedy}",
-            correction=correction,
-        )  # fmt: skip
-    if isinstance(correction, ColorTurn):
-        return Finding(
-            "color_turned", abs(correction.degrees), _LARGEST_TURN_DEG, "deg", "frames: color",
-            f"the color fits the depth when it is turned by {correction.degrees:.0f} degrees "
-            f"{told} (at most {_LARGEST_TURN_DEG:g}): {remedy}",
-            correction=correction,
-        )  # fmt: skip
-    factor = correction.factor if isinstance(correction, ColorScale) else 1.0
-    return Finding(
-        "color_scale", factor, 1.0, "", "frames: color",
-        f"the color fits the depth when it is {factor:.2f} times as large {told}, as that of "
-        f"another stream or picture size: {remedy}",
-        correction=correction,
-    )  # fmt: skip
+def _misplaced(
+    kind: str,
+    fit: float,
+    as_recorded: float,
+    limits: tuple[float, float],
+    shown: str,
+    *,
+    unit: str = "",
+) -> Registration:
+    text = (
+        f"the color fits the depth when it is {shown} (correlation {fit:.2f} against "
+        f"{as_recorded:.2f} as recorded): give color pictures that are registered to the depth, or "
+        "leave color and masks out"
+    )
+    return Registration(Finding(kind, *limits, unit, "frames: color", text), fit)
 
 
 def _maps(pictures: SmallPictures) -> _Pairs | None:
@@ -222,10 +201,6 @@ def _correlation(color: _Maps, height: _Maps) -> Float[np.ndarray, "shifts_down 
     size = [2 * side for side in color.shape[1:]]
     total = np.einsum("fyx,fyx->yx", fft.rfft2(color, size), fft.rfft2(height, size).conj())
     return fft.fftshift(fft.irfft2(total, size)) / max(_scale(color, height), 1e-12)
-
-
-def _turned(maps: _Maps, flip: ColorFlip) -> _Maps:
-    return maps[:, :: -1 if flip.rows else 1, :: -1 if flip.columns else 1]
 
 
 def _best(

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.recordings.geometry_checks.corrections import Correction
 from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer, SmallPictures
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording, Table
@@ -32,7 +31,6 @@ class Finding:
         text: the finding in one sentence, with the remedy.
         severity: "doubt" if a trajectory tracked from this recording must not be trusted; "note" if
             it loses a little accuracy.
-        correction: the correction, if it can be computed.
     """
 
     kind: str
@@ -42,7 +40,6 @@ class Finding:
     field: str
     text: str
     severity: Literal["doubt", "note"] = "doubt"
-    correction: Correction | None = None
 
 
 class ObservedFrames:
@@ -105,14 +102,22 @@ def on_table(
     return np.stack([away @ first, away @ second], axis=1), away @ normal
 
 
-def power_of_ten(ratio: float) -> float | None:
-    """Return the power of ten, other than 1, that a ratio is within a quarter of, or None."""
+def unit_factor(ratio: float) -> float | None:
+    """Return the factor between units, other than 1, that a ratio is within a quarter of."""
     if not ratio > 0:
         return None
-    power = round(float(np.log10(ratio)))
-    return 10.0**power if power and abs(np.log10(ratio) - power) < _NEARLY else None
+    factor = min((10.0 ** round(np.log10(ratio)), *_BETWEEN_UNITS), key=lambda f: _apart(ratio, f))
+    return factor if factor != 1 and _apart(ratio, factor) < _NEARLY else None
 
+
+def _apart(ratio: float, factor: float) -> float:
+    return float(abs(np.log10(ratio / factor)))
+
+
+_BETWEEN_UNITS = (4.0, 0.25)
+"""Ratios of units of depth cameras, a quarter of a millimeter and a millimeter, beside the powers
+of ten."""
 
 _NEARLY = 0.1
-"""Largest distance of the logarithm of a ratio from a whole number; a value that is wrong by a
-factor of ten is wrong by nothing else."""
+"""Largest distance of the logarithm of a ratio from that of a factor; a value that is in another
+unit is wrong by nothing else."""

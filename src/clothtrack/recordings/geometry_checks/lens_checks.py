@@ -7,7 +7,6 @@ from jaxtyping import Float
 from clothtrack.errors import ClothTrackError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.camera_view import camera_views
-from clothtrack.recordings.geometry_checks.corrections import LensDistortion
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import HeightSegmenter, default_segmenter
@@ -143,7 +142,6 @@ def _bulge(outline: _Sides, camera: Camera) -> Finding | None:
         f"the sides of the flat towel bulge by {100 * worst:.1f} % of their length (at most "
         f"{100 * _LARGEST_SAG:.1f} %), as a lens with k1 = {k1:g} makes them: undistort color, "
         "depth and masks before they are written",
-        correction=LensDistortion(k1),
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.recordings.geometry_checks.corrections import PickerDelay
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
 from clothtrack.recordings.geometry_checks.picker_checks import (
     allowance_m,
@@ -95,12 +94,7 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
         f"{limit_s:.2f}): write time_s of picker.csv by the clock of the frames, {change} "
         f"{abs(lag.lag_s):.2f} s"
     )
-    return [
-        Finding(
-            "picker_clock", lag.lag_s, limit_s, "s", "picker.csv: time_s", text,
-            correction=PickerDelay(lag.lag_s),
-        )
-    ]  # fmt: skip
+    return [Finding("picker_clock", lag.lag_s, limit_s, "s", "picker.csv: time_s", text)]
 
 
 def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:

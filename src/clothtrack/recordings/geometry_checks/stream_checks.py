@@ -11,7 +11,6 @@ from clothtrack.recordings.geometry_checks.change_maps import (
     change_maps,
     moving,
 )
-from clothtrack.recordings.geometry_checks.corrections import StreamDelay
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.recording import Recording
@@ -91,7 +90,6 @@ def _delayed(changes: ChangeMaps) -> list[Finding]:
             f"{'color' if delay > 0 else 'depth'} (at most {_LARGEST_DELAY}; correlation "
             f"{fits[best]:.2f} against {none:.2f} as recorded): pair color and depth of the same "
             "time in frames",
-            correction=StreamDelay(late, abs(delay)),
         )
     ]  # fmt: skip
 
