@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
 from clothtrack.recordings.store import read_recording
-from clothtrack_capture.importing.bag_walk import open_parts
+from clothtrack_capture.importing.bag_walk import open_part
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
 from clothtrack_capture.importing.ros_bags import bag_files
@@ -81,7 +81,7 @@ def test_the_walk_finds_what_the_reader_of_the_format_finds(kind, film, tmp_path
     source = WRITERS[kind](tmp_path / name, film)
     with AnyReader([source]) as reader:
         expected = [(one.topic, time) for one, time, _ in reader.messages()]
-    containers, _ = open_parts(bag_files(source))
+    containers = [open_part(file) for file in bag_files(source)]
     found = [(one.topic.name, one.log_ns) for part in containers for one in part.messages()]
     assert sorted(found) == sorted(expected)
     for part in containers:

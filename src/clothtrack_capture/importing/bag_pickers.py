@@ -16,7 +16,7 @@ from clothtrack_capture.importing.topics import topic_list
 
 PICKER = "picker"
 _CLOCKS_DIFFER_NS = 10**9
-_LONGEST_UNKNOWN_S = 0.5
+_LONGEST_UNKNOWN_NS = 500_000_000
 
 
 @dataclass(frozen=True)
@@ -31,45 +31,42 @@ class BagPaths:
 
 
 def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
-    """Return the requested picker path, or None."""
+    """Return the requested picker path, if any."""
     if options.picker_topic is None and options.picker_frame is None:
         if options.gripper_topic is not None:
             raise InvalidConfigError(
                 "--gripper-topic tells when, but not where: add --picker-topic or --picker-frame"
             )
         return BagPaths()
-    target, frame = (
-        (options.world_frame, "world") if options.world_frame else (camera_frame, "camera")
-    )
-    origins = {}
+    world = options.world_frame
+    target, frame = (world, "world") if world else (camera_frame, "camera")
+    origins, notes = {}, list[str]()
     if options.picker_topic is not None:
         origins["picker"] = options.picker_topic
         times, positions, frame = _from_topic(path, walk, options.picker_topic, target, frame)
     else:
         assert options.picker_frame is not None
         origins["picker"] = f"TF frame {options.picker_frame}"
-        tree = walk.tree
-        if not target or not tree.connects(target, options.picker_frame):
+        if not target or not walk.tree.connects(target, options.picker_frame):
             raise InvalidConfigError(
                 f"{path}: no TF ties --picker-frame {options.picker_frame!r} to {target!r}; "
-                f"frames: {', '.join(tree.frames) or 'none'}; name one of them"
+                f"frames: {', '.join(walk.tree.frames) or 'none'}; name one of them"
             )
-        times = tree.moments(target, options.picker_frame)
-        positions = tree.lookup(target, options.picker_frame, times)[:, :3, 3]
-    keep = np.concatenate([[True], np.diff(times) > 0]) if len(times) else np.zeros(0, bool)
+        times = walk.tree.moments(target, options.picker_frame)
+        positions = walk.tree.lookup(target, options.picker_frame, times)[:, :3, 3]
+    keep = np.diff(times, prepend=times[:1] - 1) > 0
     times, positions = times[keep], positions[keep]
     if len(times) < 2:
         raise InvalidConfigError(
             f"{path}: {origins['picker']} tells {len(times)} positions; a path has at least two"
         )
     closed = np.zeros(len(times), dtype=bool)
-    notes = []
-    if walk.without_position:
-        notes.append(f"{walk.without_position} poses of {options.picker_topic} are not numbers "
-                     "and were left out")  # fmt: skip
     if options.gripper_topic is not None:
         origins["gripper"] = options.gripper_topic
         closed, notes = _closed(path, walk, options, times)
+    if walk.without_position:
+        notes.append(f"{walk.without_position} poses of {options.picker_topic} are not numbers "
+                     "and were left out")  # fmt: skip
     start_ns = int(times[0])
     paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
     return BagPaths(paths, start_ns, frame, origins, notes)
@@ -84,22 +81,20 @@ def _from_topic(
             "of PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
         )
     poses = sorted(walk.poses, key=lambda pose: pose[0])
-    times = np.array([pose[0] for pose in poses], dtype=np.int64)
-    positions = np.array([pose[2] for pose in poses])
+    times, positions = np.array([pose[0] for pose in poses]), np.array([pose[2] for pose in poses])
     origin = poses[0][1]
-    other = next((pose for pose in poses if pose[1] != origin), None)
-    if other is not None:
-        raise InvalidConfigError(
-            f"{path}: --picker-topic {topic!r} tells positions in frame {origin!r} and, from "
-            f"{other[0] / 1e9:.3f} s on, in {other[1]!r}; give --picker-frame with the tool's frame"
-        )
+    for time_ns, other, _ in poses:
+        if other != origin:
+            raise InvalidConfigError(
+                f"{path}: --picker-topic {topic!r} tells positions in frame {origin!r} and, from "
+                f"{time_ns / 1e9:.3f} s on, in {other!r}; give --picker-frame with the tool's frame"
+            )
     if not (target and origin and walk.tree.connects(target, origin)):
-        # No transform connects its frame to the camera's. The user must say whether it is the
-        # world.
+        # No TF ties its frame to the camera's: the user must say whether it is the world.
         return times, positions, "camera" if origin and origin == target else repr(origin)
     known = walk.tree.moments(target, origin)
-    unknown_s = max(known[0] - times[0], times[-1] - known[-1]) / 1e9 if len(known) > 1 else 0.0
-    if unknown_s > _LONGEST_UNKNOWN_S:
+    unknown_ns = max(known[0] - times[0], times[-1] - known[-1]) if len(known) > 1 else 0
+    if unknown_ns > _LONGEST_UNKNOWN_NS:
         raise InvalidConfigError(
             f"{path}: TF from {origin!r} to {target!r} is known from {known[0] / 1e9:.3f} to "
             f"{known[-1] / 1e9:.3f} s, the positions from {times[0] / 1e9:.3f} to "
@@ -120,13 +115,12 @@ def _closed(
         )
     unstamped = not hasattr(walk.grips[0][1], "header")
     gap = walk.clock_gap_ns if unstamped and abs(walk.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
-    told = [(time, grip_of(message, options.gripper_joints)) for time, message in walk.grips]
     # Several nodes may publish on one topic of joints; those without the gripper's are passed over.
-    told = [(time, grip) for time, grip in told if grip is not None]
+    told = [(time, grip) for time, message in walk.grips
+            if (grip := grip_of(message, options.gripper_joints)) is not None]  # fmt: skip
     joints = _joints(path, walk, options, found=bool(told))
-    text = sorted((time - gap, _is_closed(path, grip, options)) for time, grip in told)
-    when = np.array([time for time, _ in text])
-    what = np.array([closed for _, closed in text])
+    closed = sorted((time - gap, _is_closed(path, grip, options)) for time, grip in told)
+    when, what = (np.array(column) for column in zip(*closed, strict=True))
     # Before the first message, assume the state that this message reports.
     last = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
     notes = [f"the gripper's joints in {options.gripper_topic}: {joints}"] if joints else []
@@ -146,28 +140,18 @@ def _closed(
 
 
 def _joints(path: Path, walk: Walk, options: ImportOptions, *, found: bool) -> str:
-    """Return the joints that were taken from a JointState with others, as text.
-
-    Raises:
-        InvalidConfigError: no message has a joint of the gripper.
-    """
+    """Return the joints that were taken from a JointState with others, as text."""
     every = {name: None for _, message in walk.grips for name in getattr(message, "name", ())}
     chosen = gripper_joints(list(every), options.gripper_joints)
     if found:
         return ", ".join(chosen) if len(chosen) < len(every) else ""
-    asked = f"--gripper-topic {options.gripper_topic!r}"
-    if not every:
-        raise InvalidConfigError(
-            f"{path}: {asked} tells no number; name a topic of Bool, Float or JointState"
-        )
-    raise InvalidConfigError(
-        f"{path}: {asked} has the joints {', '.join(every)}, and "
-        + (
-            f"none is called {', '.join(options.gripper_joints)}" if options.gripper_joints
-            else "no name tells which are the gripper's"
-        )
-        + "; name them with --gripper-joints"
-    )  # fmt: skip
+    problem = "tells no number; name a topic of Bool, Float or JointState"
+    if every:
+        which = "no name tells which are the gripper's"
+        if options.gripper_joints:
+            which = f"none is called {', '.join(options.gripper_joints)}"
+        problem = f"has the joints {', '.join(every)}, and {which}; name them with --gripper-joints"
+    raise InvalidConfigError(f"{path}: --gripper-topic {options.gripper_topic!r} {problem}")
 
 
 def _is_closed(path: Path, told: bool | float, options: ImportOptions) -> bool:

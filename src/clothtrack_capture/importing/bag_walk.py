@@ -1,26 +1,27 @@
 """One pass through a bag that collects the position of every picture and a few other messages."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack_capture.importing import bag_container, mcap_container, sqlite_container
-from clothtrack_capture.importing import realsense_bag as realsense
-from clothtrack_capture.importing.containers import Container, Message, Place, Topic
+from clothtrack_capture.importing.containers import (
+    BagContainer,
+    Container,
+    McapContainer,
+    Message,
+    Place,
+    SqliteContainer,
+    Topic,
+)
+from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.messages import decode, lens_words, payload, position_of, stamp_ns
 from clothtrack_capture.importing.source import StreamFrame
-from clothtrack_capture.importing.topics import CAMERA_INFO, is_picture
+from clothtrack_capture.importing.topics import CAMERA_INFO, OF_THE_SDK, is_picture
 from clothtrack_capture.importing.transforms import TransformTree
 
-_CONTAINERS = (
-    (bag_container.MAGIC, bag_container.BagContainer, "ROS 1 bag"),
-    (mcap_container.MAGIC, mcap_container.McapContainer, "MCAP"),
-    (sqlite_container.MAGIC, sqlite_container.SqliteContainer, "ROS 2 bag (SQLite)"),
-)
 _TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _CLOCK_SAMPLES = 200
 # A writer's clock that falls behind by more was set back; writing goes on one picture later.
@@ -29,41 +30,26 @@ _SET_BACK_NS, _STEP_NS = 10**9, 33_333_333
 _PART_GAP_NS, _PART_OVERLAP_NS = 10 * 10**9, 10**9
 
 
+def _kind_of(path: Path) -> type[Container] | None:
+    with path.open("rb") as file:
+        start = file.read(16)
+    kinds = (BagContainer, McapContainer, SqliteContainer)
+    return next((kind for kind in kinds if start.startswith(kind.magic)), None)
+
+
 def is_bag(path: Path) -> bool:
     """Return whether a file starts like one of the supported bags."""
-    return _container_of(path) is not None
+    return _kind_of(path) is not None
 
 
-def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
-    """Return the containers of a bag in one or several files, and the name of the format."""
-    containers: list[Container] = []
-    words = ""
-    try:
-        for path in paths:
-            kind = _container_of(path)
-            if kind is None:
-                raise InvalidRecordingError(
-                    f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
-                )
-            containers.append(kind[0](path))
-            words = kind[1]
-    except InvalidRecordingError:
-        for container in containers:
-            container.close()
-        raise
-    return containers, words
-
-
-def _container_of(path: Path) -> tuple[type, str] | None:
-    try:
-        with path.open("rb") as file:
-            start = file.read(16)
-    except OSError as error:
-        raise InvalidRecordingError(f"{path}: {error.strerror}; check the name") from error
-    for magic, kind, words in _CONTAINERS:
-        if start.startswith(magic):
-            return kind, words
-    return None
+def open_part(path: Path) -> Container:
+    """Return the reader of one file of a bag."""
+    kind = _kind_of(path)
+    if kind is None:
+        raise InvalidRecordingError(
+            f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
+        )
+    return kind(path)
 
 
 @dataclass
@@ -75,9 +61,7 @@ class Walk:
     stamps of the robot's messages, beside their times of writing.
     """
 
-    pose_topic: str | None = None
-    grip_topic: str | None = None
-    written: bool = False
+    options: ImportOptions
     topics: list[Topic] = field(default_factory=list)
     frames: dict[str, list[StreamFrame]] = field(default_factory=dict)
     infos: dict[str, Any] = field(default_factory=dict)
@@ -88,16 +72,16 @@ class Walk:
     grips: list[tuple[int, Any]] = field(default_factory=list)
     marks: dict[str, list[StreamFrame]] = field(default_factory=dict)
     without_position: int = 0
-    gaps_ns: list[int] = field(default_factory=list)
-    info_bytes: dict[str, bytes] = field(default_factory=dict)
+    _gaps_ns: list[int] = field(default_factory=list)
+    _info_bytes: dict[str, bytes] = field(default_factory=dict)
     _clocks: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def clock_gap_ns(self) -> int:
         """Write time minus header time [ns], median over the first pictures."""
-        return sorted(self.gaps_ns)[len(self.gaps_ns) // 2] if self.gaps_ns else 0
+        return sorted(self._gaps_ns)[len(self._gaps_ns) // 2] if self._gaps_ns else 0
 
-    def written_ns(self, topic: str, log_ns: int) -> int:
+    def _written_ns(self, topic: str, log_ns: int) -> int:
         """Return a time of writing [ns] that goes on where the writer's clock was set back."""
         # Each topic by itself: some programs write one topic after the other.
         latest, shift = self._clocks.get(topic, (log_ns, 0))
@@ -106,61 +90,104 @@ class Walk:
         self._clocks[topic] = max(latest, log_ns + shift), shift
         return log_ns + shift
 
+    def note(self, container: Container, message: Message, part: int) -> None:
+        """Keep what a message tells; `part` is the index of its file."""
+        topic, place = message.topic, message.place._replace(part=part)
+        written_ns = self._written_ns(topic.name, message.log_ns)
+        wanted = topic.name in (self.options.picker_topic, self.options.gripper_topic)
+        stamp = stamp_ns(container, topic, place) if wanted or is_picture(topic) else 0
+        time_ns = stamp if stamp and self.options.stamps != "written" else written_ns
+        if is_picture(topic):
+            if time_ns != written_ns and len(self._gaps_ns) < _CLOCK_SAMPLES:
+                self._gaps_ns.append(written_ns - time_ns)
+            frame = StreamFrame(time_ns, place, written_ns, stamped=bool(stamp))
+            self.frames.setdefault(topic.name, []).append(frame)
+        elif not wanted:
+            self._note_other(container, topic, place, written_ns)
+        if wanted:
+            self._mark(topic, StreamFrame(time_ns, None, written_ns, stamped=bool(stamp)))
+            content = decode(topic, payload(container, place))
+            if topic.name != self.options.picker_topic:
+                self.grips.append((time_ns, content))
+            elif (found := position_of(topic, content)) is None:
+                self.without_position += 1
+            else:
+                self.poses.append((time_ns, *found))
 
-def in_time_order(containers: Sequence[Container]) -> list[Container]:
+    def _mark(self, topic: Topic, frame: StreamFrame) -> None:
+        self.marks.setdefault(topic.name, []).append(frame)
+
+    def _note_other(self, container: Container, topic: Topic, place: Place, sent_ns: int) -> None:
+        if topic.kind == CAMERA_INFO:
+            self._note_info(topic, payload(container, place))
+        elif topic.kind in _TF_KINDS:
+            static, written = "static" in topic.name, self.options.stamps == "written"
+            for one in decode(topic, payload(container, place)).transforms:
+                time_ns = self.tree.add_message(one, sent_ns, static=static, written=written)
+                if not static:
+                    self._mark(topic, StreamFrame(time_ns, None, sent_ns))
+        elif OF_THE_SDK.match(topic.name):
+            content = decode(topic, payload(container, place))
+            first = self.heard.setdefault(topic.name, content)
+            if getattr(first, "data", None) != getattr(content, "data", None):
+                self.changed[topic.name] = f"{first.data} and later {content.data}"
+
+    def _note_info(self, topic: Topic, data: bytes) -> None:
+        """Store the first CameraInfo of a topic, and how a later one differs but for its stamp."""
+        known = self.infos.get(topic.name)
+        # In ROS 1 and in CDR alike, the stamp ends with byte 12.
+        if known is None:
+            self.infos[topic.name], self._info_bytes[topic.name] = decode(topic, data), data[12:]
+        elif data[12:] != self._info_bytes[topic.name] and topic.name not in self.changed:
+            info = decode(topic, data)
+            if not any(known.k if topic.cdr else known.K):
+                self.infos[topic.name] = info  # the driver was not ready before
+            elif lens_words(known) != lens_words(info):
+                self.changed[topic.name] = f"{lens_words(known)} and later {lens_words(info)}"
+
+
+def in_time_order(parts: Sequence[Container]) -> list[Container]:
     """Return the parts of a bag by the times of their first messages."""
-    if len(containers) < 2:
-        return list(containers)
-    first = {id(one): next(_messages(one), None) for one in containers}
-    begun = [one for one in containers if first[id(one)] is not None]
-    return sorted(begun, key=lambda one: getattr(first[id(one)], "log_ns", 0))
+    if len(parts) < 2:
+        return list(parts)
+    begun = [(first.log_ns, number) for number, part in enumerate(parts)
+             if (first := next(_messages(part), None)) is not None]  # fmt: skip
+    return [parts[number] for _, number in sorted(begun)]
 
 
-def walk(
-    path: Path, containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None,
-    written: bool,
-) -> Walk:  # fmt: skip
+def walk(path: Path, parts: Sequence[Container], options: ImportOptions) -> Walk:
     """Read every part of a bag once."""
-    result = Walk(pose_topic, grip_topic, written)
-    spans: list[tuple[int, int, Container]] = []
-    for part, container in enumerate(containers):
+    result = Walk(options)
+    spans: list[tuple[int, int, Path]] = []
+    for number, part in enumerate(parts):
         times: list[int] = []
-        for message in _messages(container):
+        for message in _messages(part):
             # Other topics may repeat an old message at the start of a part.
             if is_picture(message.topic):
                 times.append(message.log_ns)
             try:
-                _note(result, container, message, part)
+                result.note(part, message, number)
             except TruncatedError as error:
                 raise InvalidRecordingError(
-                    f"{container.path}: a message cannot be read ({error}); name another topic, or "
+                    f"{part.path}: a message cannot be read ({error}); name another topic, or "
                     "copy the bag again"
                 ) from error
         if times:
-            spans.append((min(times), max(times), container))
+            spans.append((min(times), max(times), part.path))
         known = {topic.name for topic in result.topics}
-        result.topics += [topic for topic in container.topics() if topic.name not in known]
-    if not _is_listed(path, spans) and not all(
-        -_PART_OVERLAP_NS <= start - end <= _PART_GAP_NS
-        for (_, end, _), (start, _, _) in pairwise(spans)
-    ):
-        files = "; ".join(
-            f"{container.path.name}: {first / 1e9:.3f} to {last / 1e9:.3f} s"
-            for first, last, container in spans
-        )
+        result.topics += [topic for topic in part.topics() if topic.name not in known]
+    steps = [start - end for (_, end, _), (start, _, _) in pairwise(spans)]
+    sheet = path / "metadata.yaml"  # The recorder lists there the files that are one bag.
+    listed = sheet.read_text(errors="replace") if sheet.is_file() else ""
+    if not (all(-_PART_OVERLAP_NS <= step <= _PART_GAP_NS for step in steps)
+            or all(f"- {file.name}" in listed for *_, file in spans)):  # fmt: skip
+        files = "; ".join(f"{file.name}: {first / 1e9:.3f} to {last / 1e9:.3f} s"
+                          for first, last, file in spans)  # fmt: skip
         raise InvalidRecordingError(
             f"{path}: {len(spans)} bags that do not follow each other within "
-            f"{_PART_GAP_NS / 1e9:.0f} s ({files}); import one file, such as "
-            f"{spans[0][2].path}"
+            f"{_PART_GAP_NS / 1e9:.0f} s ({files}); import one file, such as {spans[0][2]}"
         )
     return result
-
-
-def _is_listed(path: Path, spans: Sequence[tuple[int, int, Container]]) -> bool:
-    """Return whether the recorder says that the files are parts of one bag."""
-    file = path / "metadata.yaml"
-    text = file.read_text(errors="replace") if file.is_file() else ""
-    return all(f"- {container.path.name}" in text for _, _, container in spans)
 
 
 def _messages(container: Container) -> Iterator[Message]:
@@ -171,77 +198,3 @@ def _messages(container: Container) -> Iterator[Message]:
             f"{container.path}: the bag breaks off or is damaged ({error}); copy it again, or "
             "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
         ) from error
-
-
-def _note(result: Walk, container: Container, message: Message, part: int) -> None:
-    topic, place = message.topic, message.place._replace(part=part)
-    written_ns = result.written_ns(topic.name, message.log_ns)
-    wanted = topic.name in (result.pose_topic, result.grip_topic)
-    stamp = stamp_ns(container, topic, place) if wanted or is_picture(topic) else 0
-    time_ns = stamp if stamp and not result.written else written_ns
-    if is_picture(topic):
-        if time_ns != written_ns and len(result.gaps_ns) < _CLOCK_SAMPLES:
-            result.gaps_ns.append(written_ns - time_ns)
-        frame = StreamFrame(time_ns, place, written_ns, stamped=bool(stamp))
-        result.frames.setdefault(topic.name, []).append(frame)
-    elif not wanted:
-        _note_other(result, container, topic, place, written_ns)
-    if wanted:
-        _mark(result, topic, StreamFrame(time_ns, None, written_ns, stamped=bool(stamp)))
-        content = decode(topic, payload(container, place))
-        if topic.name != result.pose_topic:
-            result.grips.append((time_ns, content))
-        elif (found := position_of(topic, content)) is None:
-            result.without_position += 1
-        else:
-            result.poses.append((time_ns, *found))
-
-
-def _note_other(
-    result: Walk, container: Container, topic: Topic, place: Place, written_ns: int
-) -> None:
-    if topic.kind == CAMERA_INFO:
-        _note_info(result, topic, payload(container, place))
-    elif topic.kind in _TF_KINDS:
-        static = "static" in topic.name
-        for stamped in decode(topic, payload(container, place)).transforms:
-            time_ns = result.tree.add_message(
-                stamped, written_ns, static=static, written=result.written
-            )
-            if not static:
-                _mark(result, topic, StreamFrame(time_ns, None, written_ns))
-    elif realsense.WANTED.match(topic.name):
-        content = decode(topic, payload(container, place))
-        first = result.heard.setdefault(topic.name, content)
-        if getattr(first, "data", None) != getattr(content, "data", None):
-            result.changed[topic.name] = f"{first.data} and later {content.data}"
-
-
-def _mark(result: Walk, topic: Topic, frame: StreamFrame) -> None:
-    result.marks.setdefault(topic.name, []).append(frame)
-
-
-def _note_info(result: Walk, topic: Topic, data: bytes) -> None:
-    """Store the first CameraInfo of a topic, and how a later one differs but for its stamp."""
-    # In ROS 1 and in CDR alike, the stamp ends with byte 12.
-    if result.infos.get(topic.name) is None:
-        result.infos[topic.name] = decode(topic, data)
-        result.info_bytes[topic.name] = data[12:]
-    elif data[12:] != result.info_bytes[topic.name] and topic.name not in result.changed:
-        first, later = (lens_words(info) for info in (result.infos[topic.name],
-                                                      decode(topic, data)))  # fmt: skip
-        if not any(result.infos[topic.name].k if topic.cdr else result.infos[topic.name].K):
-            result.infos[topic.name] = decode(topic, data)  # the driver was not ready before
-        elif first != later:
-            result.changed[topic.name] = f"{first} and later {later}"
-
-
-def frame_of(container: Container, topic: Topic, place: Place) -> str:
-    """Return the frame in the header of a picture; "" if it has none."""
-    with suppress(TruncatedError):
-        data = payload(container, place)[:512]
-        order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"
-        length = int.from_bytes(data[12:16], order)
-        if 0 < length <= 256:
-            return data[16 : 16 + length].split(b"\0")[0].decode("utf-8", "replace").lstrip("/")
-    return ""

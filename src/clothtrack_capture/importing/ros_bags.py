@@ -1,19 +1,24 @@
-"""ROS 1, ROS 2 and RealSense bags as a source: topics, intrinsics and depth unit."""
+"""ROS 1, ROS 2 and RealSense bags as a source: topics, intrinsics and depth unit.
+
+Old recordings of the RealSense SDK (`.bag`) have typed messages, and new ones (`.db3`) have strings
+`key=value;...`. `/tf_static` of the new ones uses another convention (x forward) and is ignored.
+"""
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import images
-from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.bag_pickers import bag_paths
-from clothtrack_capture.importing.bag_walk import frame_of, in_time_order, open_parts, walk
+from clothtrack_capture.importing.bag_walk import in_time_order, open_part, walk
 from clothtrack_capture.importing.containers import Container, Topic
 from clothtrack_capture.importing.images import packed_color, packed_depth
 from clothtrack_capture.importing.import_options import ImportOptions
@@ -31,12 +36,14 @@ from clothtrack_capture.importing.source import (
 from clothtrack_capture.importing.topics import (
     COMPRESSED,
     PNG_DEPTH,
+    SDK_STREAM,
     base_name,
     choose_color,
     choose_depth,
     info_topic,
     left_out,
 )
+from clothtrack_capture.importing.transforms import rigid
 from clothtrack_capture.importing.units import DepthUnit
 
 _PART = re.compile(r"\.(db3|mcap|bag)$")
@@ -57,58 +64,53 @@ class BagSource:
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         """Read the bag, choose topics and collect the cameras' calibration."""
-        self._path = path
-        self._parts, words = open_parts(bag_files(path))
+        self._path, self._parts = path, list[Container]()
         try:
+            for file in bag_files(path):
+                self._parts.append(open_part(file))
             self._parts = in_time_order(self._parts)
-            self._walk = walk(
-                path, self._parts, pose_topic=options.picker_topic,
-                grip_topic=options.gripper_topic, written=options.stamps == "written",
-            )  # fmt: skip
-            topics = self._walk.topics
+            self._walk = walk(path, self._parts, options)
+            topics, encoding = self._walk.topics, self._encoding_of
             if not topics:
                 raise InvalidRecordingError(f"{path}: no topic at all; record or copy it again")
-            self._depth_topic = choose_depth(path, topics, options.depth_topic, self._encoding_of)
-            self._color_topic = (
-                None
-                if options.without_color
-                else choose_color(
-                    path, topics, self._depth_topic, options.color_topic, self._encoding_of
-                )
-            )
-            self.streams = self._find_streams(words, options)
+            depth = self._depth = choose_depth(path, topics, options.depth_topic, encoding)
+            self._color = None
+            if not options.without_color:
+                self._color = choose_color(path, topics, depth, options.color_topic, encoding)
+            self.streams = self._find_streams(options)
         except BaseException:
             self.close()
             raise
 
     def picture(self, kind: str, frame: StreamFrame) -> Callable[[], Content]:
         """Return a function that decodes a picture."""
-        data = payload(self._parts[frame.place.part], frame.place)
         if kind == "depth":
-            return partial(_decode_depth, self._depth_topic, data)
-        assert self._color_topic is not None
-        return partial(_decode_color, self._color_topic, data)
+            return partial(_decode_depth, self._depth, self._read(frame))
+        assert self._color is not None
+        return partial(_decode_color, self._color, self._read(frame))
 
     def close(self) -> None:
         """Close the files."""
         for part in self._parts:
             part.close()
 
-    def _first(self, topic: Topic) -> tuple[Container, StreamFrame]:
+    def _read(self, frame: StreamFrame) -> bytes:
+        return payload(self._parts[frame.place.part], frame.place)
+
+    def _first(self, topic: Topic) -> StreamFrame:
         frames = self._walk.frames.get(topic.name)
         if not frames:
             raise InvalidRecordingError(
                 f"{self._path}: not one picture of {topic.name}; record it again, or "
                 "name another topic with --depth-topic or --color-topic"
             )
-        return self._parts[frames[0].place.part], frames[0]
+        return frames[0]
 
     def _encoding_of(self, topic: Topic) -> str:
         """Return the encoding of a topic's pictures, from the first readable one; "" if none is."""
         for frame in self._walk.frames.get(topic.name, ()):
             try:
-                data = payload(self._parts[frame.place.part], frame.place)
-                message = decode(topic, data)
+                message = decode(topic, self._read(frame))
             except TruncatedError:
                 continue
             if topic.kind != COMPRESSED:
@@ -119,19 +121,17 @@ class BagSource:
         return ""
 
     def _find_calibration(self, options: ImportOptions) -> tuple[StereoCalibration, list[str]]:
-        with_color = self._color_topic is not None
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            return file.calibration(with_color=with_color), file.notes
-        depth = self._find_intrinsics(self._depth_topic)
-        if self._color_topic is None:
-            return StereoCalibration(depth, None, np.eye(4), "camera_info"), []
-        pose = self._find_pose(self._depth_topic, self._color_topic)
-        color = self._find_intrinsics(self._color_topic)
+            return file.calibration(with_color=self._color is not None), file.notes
+        depth, color, pose = self._find_intrinsics(self._depth), None, np.eye(4)
+        if self._color is not None:
+            pose = self._find_pose(self._depth, self._color)
+            color = self._find_intrinsics(self._color)
         return StereoCalibration(depth, color, pose, "camera_info"), []
 
     def _find_unit(self, options: ImportOptions) -> DepthUnit | None:
-        topic = self._depth_topic
+        topic = self._depth
         self._first(topic)
         encoding = self._encoding_of(topic)
         if topic.kind != COMPRESSED and encoding not in (*images.DEPTH_ENCODINGS, ""):
@@ -141,8 +141,8 @@ class BagSource:
             )
         if options.depth_unit_m is not None:
             return DepthUnit(options.depth_unit_m, "given by --depth-unit-m")
-        unit_m = realsense.depth_unit_m(self._walk.heard, topic)
-        if unit_m is not None and unit_m > 0:
+        unit_m = self._option_unit_m(topic)
+        if unit_m > 0:
             for name in self._walk.changed.keys() & self._walk.heard.keys():
                 raise InvalidRecordingError(
                     f"{self._path}: {name} changes during the recording "
@@ -151,9 +151,19 @@ class BagSource:
             return DepthUnit(unit_m, "the sensor's option Depth Units in the recording")
         if encoding.startswith("32fc1"):
             return DepthUnit(1.0, "encoding 32FC1: meters (REP 118)")
-        if encoding.startswith(("16uc1", PNG_DEPTH)) and not realsense.is_stream(topic):
+        if encoding.startswith(("16uc1", PNG_DEPTH)) and not _of_the_sdk(topic):
             return DepthUnit(1e-3, "encoding 16UC1: millimeters (REP 118)")
         return None
+
+    def _option_unit_m(self, depth: Topic) -> float:
+        """Return meters per unit of depth, from the option of a RealSense sensor; 0 if unknown."""
+        sensor = SDK_STREAM.sub(r"\1", base_name(depth.name))
+        for spelling in ("Depth Units", "Depth_Units"):
+            with suppress(KeyError, ValueError):
+                message = self._walk.heard[f"{sensor}/option/{spelling}/value"]
+                # The SDK stores a 32-bit float, so 0.001 is read as 0.0010000000474974513.
+                return float(f"{float(message.data):.6g}")
+        return 0.0
 
     def _find_intrinsics(self, image: Topic) -> Intrinsics:
         topic = info_topic(self._walk.topics, image)
@@ -174,58 +184,78 @@ class BagSource:
         return intrinsics_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
 
     def _find_pose(self, depth: Topic, color: Topic) -> Float[np.ndarray, "4 4"]:
-        try:
-            pose = realsense.color_from_depth(self._walk.heard, depth, color)
-        except TruncatedError as error:
-            raise InvalidRecordingError(
-                f"{self._path}: {error}; give the pose with --intrinsics FILE"
-            ) from error
-        if pose is not None:
-            return pose
+        """Return the transform from depth to color camera [m]."""
+        poses: list[dict[str, np.ndarray]] = []
+        for topic in (depth, color):
+            head = f"{base_name(topic.name).removesuffix('/image/data')}/tf/"
+            poses.append({name.removeprefix(head): self._sdk_pose(message)
+                          for name, message in self._walk.heard.items()
+                          if name.startswith(head)})  # fmt: skip
+        if shared := sorted(poses[0].keys() & poses[1].keys()):
+            return poses[1][shared[0]] @ np.linalg.inv(poses[0][shared[0]])
         here, there = self._frame(depth), self._frame(color)
-        if here == there and not realsense.is_stream(depth):
+        if here == there and not _of_the_sdk(depth):
             return np.eye(4)
         if here and there and self._walk.tree.connects(there, here):
-            _, frame = self._first(depth)
-            return self._walk.tree.lookup(there, here, np.array([frame.time_ns]))[0]
+            return self._walk.tree.lookup(there, here, np.array([self._first(depth).time_ns]))[0]
         raise InvalidRecordingError(
             f"{self._path}: depth is in frame {here!r} and color in frame {there!r}, and no TF "
             "ties them; give the pose with --intrinsics FILE"
         )
 
-    def _frame(self, topic: Topic) -> str:
-        container, frame = self._first(topic)
-        return frame_of(container, topic, frame.place)
+    def _sdk_pose(self, message: Any) -> Float[np.ndarray, "4 4"]:
+        """Return the transform from the reference stream to the one that a message is about."""
+        try:
+            if hasattr(message, "rotation"):
+                q, t = message.rotation, message.translation
+                return rigid(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
+            fields = dict(part.split("=", 1) for part in message.data.split(";") if "=" in part)
+            rotation, translation = (np.array(fields[name].split(","), dtype=np.float64)
+                                     for name in ("rotation", "translation"))  # fmt: skip
+            return rigid(rotation.reshape(3, 3).T, translation)  # The SDK writes column by column.
+        except (AttributeError, KeyError, ValueError, TruncatedError) as error:
+            raise InvalidRecordingError(
+                f"{self._path}: a stream's pose cannot be read ({error}); give it with "
+                "--intrinsics FILE"
+            ) from error
 
-    def _find_streams(self, words: str, options: ImportOptions) -> Streams:
-        color = self._color_topic
+    def _frame(self, topic: Topic) -> str:
+        """Return the frame in the header of a topic's first picture; "" if it has none."""
+        frame = self._first(topic)
+        with suppress(TruncatedError):
+            data = self._read(frame)[:512]
+            order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"
+            length = int.from_bytes(data[12:16], order)
+            if 0 < length <= 256:
+                return data[16 : 16 + length].split(b"\0")[0].decode("utf-8", "replace").lstrip("/")
+        return ""
+
+    def _find_streams(self, options: ImportOptions) -> Streams:
+        depth, color, frames = self._depth, self._color, self._walk.frames
         unit = self._find_unit(options)
         calibration, notes = self._find_calibration(options)
-        origins = {"depth": self._depth_topic.name}
+        origins = {"depth": depth.name}
         if color is not None:
             self._first(color)
             origins["color"] = color.name
-        camera_frame = self._frame(color or self._depth_topic)
-        notes += self._movement(camera_frame, options)
-        notes += unused(options, "has time stamps", "fps")
-        world = None
-        if options.world_frame is not None:
-            world = self._world_from_camera(camera_frame, options.world_frame)
-        picker = bag_paths(self._path, self._walk, options, camera_frame)
+        camera = self._frame(color or depth)
+        world, remarks = self._world_from_camera(camera, options)
+        notes += remarks + unused(options, "has time stamps", "fps")
+        picker = bag_paths(self._path, self._walk, options, camera)
         used = [*origins.values(), options.picker_topic or "", options.gripper_topic or ""]
         rest = [topic for topic in self._walk.topics
-                if not (options.without_color and topic.name in self._walk.frames)]  # fmt: skip
-        recorder = " of the RealSense SDK" if realsense.is_stream(self._depth_topic) else ""
+                if not (options.without_color and topic.name in frames)]  # fmt: skip
+        recorder = " of the RealSense SDK" if _of_the_sdk(depth) else ""
         return Streams(
-            kind=words + recorder,
+            kind=self._parts[-1].words + recorder,
             calibration=calibration,
             unit=unit,
             ask_unit=(
-                f"{self._depth_topic.name} has encoding {self._encoding_of(self._depth_topic)!r} "
-                "and nothing says how long a unit is; give --depth-unit-m (0.001 for millimeters)"
+                f"{depth.name} has encoding {self._encoding_of(depth)!r} and nothing says how long "
+                "a unit is; give --depth-unit-m (0.001 for millimeters)"
             ),
-            depth=self._walk.frames[self._depth_topic.name],
-            color=None if color is None else self._walk.frames[color.name],
+            depth=frames[depth.name],
+            color=None if color is None else frames[color.name],
             origins={**origins, **picker.origins},
             notes=[*notes, *picker.notes, *left_out(rest, used)],
             marks=self._walk.marks if picker.paths else {},
@@ -235,39 +265,42 @@ class BagSource:
             world_from_camera=world,
         )
 
-    def _movement(self, camera: str, options: ImportOptions) -> list[str]:
-        """Return a remark where the camera moves in TF; refuse it in a world that was asked for."""
-        tree: Any = self._walk.tree
-        world = options.world_frame or (tree.root(camera) if camera else "")
-        if not camera or world.lstrip("/") == camera or not tree.connects(world, camera):
-            return []
-        times = np.array([frame.time_ns for frame in self._walk.frames[self._depth_topic.name]])
-        poses = tree.lookup(world, camera, times)
-        moved_m = np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1)
-        cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], poses[0, :3, :3]) - 1) / 2
-        turned = np.arccos(np.clip(cosine, -1, 1))
-        if moved_m.max() <= _MOST_MOVED_M and turned.max() <= _MOST_TURNED:
-            return []
-        words = (
-            f"the camera {camera!r} moves by up to {moved_m.max():.3f} m and "
-            f"{np.degrees(turned.max()):.1f} degrees against {world!r}"
-        )
-        if options.world_frame is None:
-            return [f"{words}; a recording has one fixed camera: check that it stood still"]
-        raise InvalidConfigError(
-            f"{self._path}: {words}; a recording has one fixed camera: leave --world-frame out "
-            "if it stood still over the table, or cut the bag where it moves"
-        )
-
-    def _world_from_camera(self, camera: str, world: str) -> Float[np.ndarray, "4 4"]:
-        tree: Any = self._walk.tree
+    def _world_from_camera(
+        self, camera: str, options: ImportOptions
+    ) -> tuple[Float[np.ndarray, "4 4"] | None, list[str]]:
+        """Return the pose in the world that was asked for, and a remark if the camera moves."""
+        tree, asked = self._walk.tree, options.world_frame
+        world = tree.root(camera) if asked is None else asked
         if not camera or not tree.connects(world, camera):
+            if asked is None:
+                return None, []
             raise InvalidConfigError(
                 f"{self._path}: no TF ties the camera's frame {camera!r} to --world-frame "
                 f"{world!r}; frames: {', '.join(tree.frames) or 'none'}"
             )
-        _, frame = self._first(self._color_topic or self._depth_topic)
-        return tree.lookup(world, camera, np.array([frame.time_ns]))[0]
+        times = [frame.time_ns for frame in self._walk.frames[self._depth.name]]
+        poses = tree.lookup(world, camera, np.array(times))
+        moved_m = np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max()
+        cosine = (np.einsum("nij,ij->n", poses[:, :3, :3], poses[0, :3, :3]) - 1) / 2
+        turned = np.arccos(np.clip(cosine, -1, 1)).max()
+        words = (
+            f"the camera {camera!r} moves by up to {moved_m:.3f} m and {np.degrees(turned):.1f} "
+            f"degrees against {world!r}; a recording has one fixed camera: "
+        )
+        moves = moved_m > _MOST_MOVED_M or turned > _MOST_TURNED
+        if asked is None:
+            return None, [f"{words}check that it stood still"] if moves else []
+        if moves:
+            raise InvalidConfigError(
+                f"{self._path}: {words}leave --world-frame out if it stood still over the table, "
+                "or cut the bag where it moves"
+            )
+        first = self._first(self._color or self._depth)
+        return tree.lookup(world, camera, np.array([first.time_ns]))[0], []
+
+
+def _of_the_sdk(topic: Topic) -> bool:
+    return bool(SDK_STREAM.match(base_name(topic.name)))
 
 
 def _decode_depth(topic: Topic, data: bytes) -> Content:
@@ -280,6 +313,5 @@ def _decode_depth(topic: Topic, data: bytes) -> Content:
 
 def _decode_color(topic: Topic, data: bytes) -> Content:
     message = decode(topic, data)
-    if topic.kind == COMPRESSED:
-        return packed_color(bytes(message.data))
-    return images.raw_color(message)
+    packed = topic.kind == COMPRESSED
+    return packed_color(bytes(message.data)) if packed else images.raw_color(message)

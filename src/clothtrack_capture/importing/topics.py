@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 from clothtrack.errors import InvalidRecordingError
@@ -31,6 +32,11 @@ _COLOR = (
 )
 _TRANSPORTS = ("/compressedDepth", "/compressed")
 _GRAY = re.compile(r"infra|(^|[/_])ir([/_\d]|$)|mono|mask|label", re.IGNORECASE)
+# The RealSense SDK names a stream's topics `/device_0/sensor_0/Depth_0/...`.
+SDK_STREAM = re.compile(r"^(/device_\d+/sensor_\d+)/[A-Za-z]+_\d+/image/data$")
+OF_THE_SDK = re.compile(
+    r"^/device_\d+/sensor_\d+/(option/Depth[ _]Units/value|[A-Za-z]+_\d+/tf/\w+)$"
+)
 _OF_THE_SYSTEM = re.compile(r"^/(rosout(_agg)?|parameter_events|diagnostics|clock|events/.*)$"
                             r"|^/(device_\d+|file_version)(?!.*/image/data)")  # fmt: skip
 PNG_DEPTH = "16-bit PNG"
@@ -57,9 +63,8 @@ def choose_depth(
     able = [topic for topic in pictures
             if not topic.name.endswith("/compressed") or encoding(topic) == PNG_DEPTH]  # fmt: skip
     lossy = [topic for topic in pictures if topic not in able and (
-        base_name(topic.name) == base_name(asked) if asked
-        else any(_is_like(topic, pattern) for pattern in _DEPTH)
-    )]  # fmt: skip
+        base_name(topic.name) == base_name(asked) if asked else _is_like(topic, *_DEPTH))
+    ]  # fmt: skip
     hint = "" if not lossy else (
         f"; {lossy[0].name} is {encoding(lossy[0])!r}, which changes depth: record image_raw or "
         "compressedDepth"
@@ -68,22 +73,19 @@ def choose_depth(
 
 
 def choose_color(
-    path: Path,
-    topics: Sequence[Topic],
-    depth: Topic,
-    asked: str | None,
+    path: Path, topics: Sequence[Topic], depth: Topic, asked: str | None,
     encoding: Callable[[Topic], str],
-) -> Topic | None:
+) -> Topic | None:  # fmt: skip
     """Return the topic of color: by its usual name, else the only other one; None if none is."""
     able = [topic for topic in topics
             if is_picture(topic) and not topic.name.endswith("/compressedDepth")
             and base_name(topic.name) != base_name(depth.name)]  # fmt: skip
-    usual = [topic for topic in able if any(_is_like(topic, pattern) for pattern in _COLOR)]
+    usual = [topic for topic in able if _is_like(topic, *_COLOR)]
     if asked is None and not usual:
         no_color = (*GRAY_ENCODINGS, *DEPTH_ENCODINGS, PNG_DEPTH)
         others = [topic for topic in able
                   if not _GRAY.search(topic.name) and encoding(topic) not in no_color
-                  and not any(_is_like(topic, pattern) for pattern in _DEPTH)]  # fmt: skip
+                  and not _is_like(topic, *_DEPTH)]  # fmt: skip
         alone = len({base_name(topic.name) for topic in others}) == 1
         return min(others, key=_transport) if alone else None
     # The color of a camera shares the longest topic prefix with its depth.
@@ -94,12 +96,12 @@ def choose_color(
             f"{path}: --color-topic {asked!r} is the topic of depth; name the one of color, or "
             "give --without-color"
         )
-    words = ("color", "--color-topic", topic_list(topics))
-    return _choose(path, able if asked else near, _COLOR, asked, words)
+    able = able if asked else near
+    return _choose(path, able, _COLOR, asked, ("color", "--color-topic", topic_list(topics)))
 
 
-def _is_like(topic: Topic, pattern: str) -> bool:
-    return bool(re.search(pattern, base_name(topic.name)))
+def _is_like(topic: Topic, *patterns: str) -> bool:
+    return any(re.search(pattern, base_name(topic.name)) for pattern in patterns)
 
 
 def left_out(topics: Iterable[Topic], used: Sequence[str]) -> list[str]:
@@ -108,73 +110,56 @@ def left_out(topics: Iterable[Topic], used: Sequence[str]) -> list[str]:
     rest = [topic for topic in topics
             if base_name(topic.name) not in known and not _OF_THE_SYSTEM.search(topic.name)
             and not topic.kind.endswith(("/CameraInfo", "/TFMessage", "/tfMessage"))]  # fmt: skip
-    pictures = [topic for topic in rest if is_picture(topic)]
-    others = [topic for topic in rest if not is_picture(topic)]
     notes = []
-    if pictures:
-        notes.append(
-            f"pictures that were left out: {topic_list(pictures, 8)}; --color-topic and "
-            "--depth-topic choose others"
-        )
-    if others:
+    if pictures := [topic for topic in rest if is_picture(topic)]:
+        notes.append(f"pictures that were left out: {topic_list(pictures, 8)}; --color-topic and "
+                     "--depth-topic choose others")  # fmt: skip
+    if others := [topic for topic in rest if not is_picture(topic)]:
         notes.append(f"topics that were not used: {topic_list(others, 8)}")
     return notes
 
 
 def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
     """Return the topic with the intrinsics of a picture topic."""
-    folder, _, _ = base_name(image.name).rpartition("/")
-    stream = folder.removesuffix("/image")
-    wanted = (
-        f"{folder}/camera_info",
-        f"{base_name(image.name)}/camera_info",
-        f"{stream}/info/camera_info",
-        f"{folder.removesuffix('/hw_registered')}/camera_info",
-    )
+    name = base_name(image.name)
+    folder = name.rpartition("/")[0]
+    wanted = [f"{place}/camera_info" for place in (
+        folder, name, f"{folder.removesuffix('/image')}/info",
+        folder.removesuffix("/hw_registered"))]  # fmt: skip
     known = {topic.name: topic for topic in topics if topic.kind == CAMERA_INFO}
     return next((known[name] for name in wanted if name in known), None)
 
 
 def topic_list(topics: Iterable[Topic], limit: int = 30) -> str:
     """Return a list of the topics as text, pictures first."""
-    ranked = sorted(
-        set(topics), key=lambda topic: (topic.kind not in (IMAGE, COMPRESSED), topic.name)
-    )
+    ranked = sorted(set(topics), key=lambda topic: (not is_picture(topic), topic.name))
     words = [f"{topic.name} ({topic.kind.rpartition('/')[2]})" for topic in ranked[:limit]]
     more = [f"and {len(ranked) - limit} more"] if len(ranked) > limit else []
     return ", ".join(words + more) or "none"
 
 
 def _choose(
-    path: Path,
-    able: Sequence[Topic],
-    patterns: Sequence[str],
-    asked: str | None,
+    path: Path, able: Sequence[Topic], patterns: Sequence[str], asked: str | None,
     words: tuple[str, str, str],
-) -> Topic:
+) -> Topic:  # fmt: skip
     what, flag, every = words
     if asked is not None:
-        candidates = [topic for topic in able if topic.name == asked] or [
-            topic for topic in able if base_name(topic.name) == asked
-        ]
-        if not candidates:
-            raise InvalidRecordingError(
-                f"{path}: no {what} topic {asked!r}; topics: {every}; name one with {flag}"
-            )
-        return min(candidates, key=_transport)
-    for pattern in patterns:
-        candidates = [topic for topic in able if _is_like(topic, pattern)]
-        names = {base_name(topic.name) for topic in candidates}
-        if len(names) > 1:
-            raise InvalidRecordingError(
-                f"{path}: {len(names)} topics may be the {what}: {', '.join(sorted(names))}; "
-                f"choose one with {flag}"
-            )
-        if candidates:
-            return min(candidates, key=_transport)
-    raise InvalidRecordingError(
-        f"{path}: no topic has a usual name of {what}; topics: {every}; name one with {flag}"
-    )
+        kinds = [[topic for topic in able if topic.name == asked],
+                 [topic for topic in able if base_name(topic.name) == asked]]  # fmt: skip
+        problem = f"no {what} topic {asked!r}"
+    else:
+        kinds = [[topic for topic in able if _is_like(topic, pattern)] for pattern in patterns]
+        problem = f"no topic has a usual name of {what}"
+    candidates = next(filter(None, kinds), [])
+    if not candidates:
+        raise InvalidRecordingError(f"{path}: {problem}; topics: {every}; name one with {flag}")
+    names = {base_name(topic.name) for topic in candidates}
+    if len(names) > 1:
+        raise InvalidRecordingError(
+            f"{path}: {len(names)} topics may be the {what}: {', '.join(sorted(names))}; "
+            f"choose one with {flag}"
+        )
+    return min(candidates, key=_transport)
 
 
 def _transport(topic: Topic) -> tuple[bool, bool, str]:
@@ -182,9 +167,6 @@ def _transport(topic: Topic) -> tuple[bool, bool, str]:
 
 
 def _shared(name: str, other: str) -> int:
-    count = 0
-    for mine, yours in zip(name.split("/"), other.split("/"), strict=False):
-        if mine != yours:
-            break
-        count += 1
-    return count
+    """Return how many leading parts two names have in common."""
+    pairs = zip(name.split("/"), other.split("/"), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
