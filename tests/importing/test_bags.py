@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
 from clothtrack.recordings.store import read_recording
-from clothtrack_capture.importing.bag_walk import open_part
+from clothtrack_capture.importing.containers import open_part
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
 from clothtrack_capture.importing.ros_bags import bag_files

@@ -7,15 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack_capture.importing.containers import (
-    BagContainer,
-    Container,
-    McapContainer,
-    Message,
-    Place,
-    SqliteContainer,
-    Topic,
-)
+from clothtrack_capture.importing.containers import Container, Message, Place, Topic
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.messages import decode, lens_words, payload, position_of, stamp_ns
 from clothtrack_capture.importing.source import StreamFrame
@@ -28,28 +20,6 @@ _CLOCK_SAMPLES = 200
 _SET_BACK_NS, _STEP_NS = 10**9, 33_333_333
 # Parts of one bag follow each other within this time, and overlap by no more than this.
 _PART_GAP_NS, _PART_OVERLAP_NS = 10 * 10**9, 10**9
-
-
-def _kind_of(path: Path) -> type[Container] | None:
-    with path.open("rb") as file:
-        start = file.read(16)
-    kinds = (BagContainer, McapContainer, SqliteContainer)
-    return next((kind for kind in kinds if start.startswith(kind.magic)), None)
-
-
-def is_bag(path: Path) -> bool:
-    """Return whether a file starts like one of the supported bags."""
-    return _kind_of(path) is not None
-
-
-def open_part(path: Path) -> Container:
-    """Return the reader of one file of a bag."""
-    kind = _kind_of(path)
-    if kind is None:
-        raise InvalidRecordingError(
-            f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
-        )
-    return kind(path)
 
 
 @dataclass
@@ -175,7 +145,7 @@ def walk(path: Path, parts: Sequence[Container], options: ImportOptions) -> Walk
         if times:
             spans.append((min(times), max(times), part.path))
         known = {topic.name for topic in result.topics}
-        result.topics += [topic for topic in part.topics() if topic.name not in known]
+        result.topics += [topic for topic in part.topics.values() if topic.name not in known]
     steps = [start - end for (_, end, _), (start, _, _) in pairwise(spans)]
     sheet = path / "metadata.yaml"  # The recorder lists there the files that are one bag.
     listed = sheet.read_text(errors="replace") if sheet.is_file() else ""

@@ -76,11 +76,7 @@ class Container(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._topics: dict[int, Topic] = {}
-
-    def topics(self) -> list[Topic]:
-        """Return every topic known so far; the list is complete after reading all messages."""
-        return list(self._topics.values())
+        self.topics: dict[int, Topic] = {}  # complete after reading all messages
 
     @abstractmethod
     def messages(self) -> Iterator[Message]:
@@ -220,7 +216,7 @@ class BagContainer(ChunkedContainer):
         size = int.from_bytes(read(start - 4, 4), "little")
         what, span = _number(header, "op", 1), (start, size, start + size)
         if what == _BAG_MESSAGE:
-            topic, time = self._topics.get(_number(header, "conn")), _number(header, "time", 8)
+            topic, time = self.topics.get(_number(header, "conn")), _number(header, "time", 8)
             return Record("message", *span, topic, (time & 0xFFFFFFFF) * 10**9 + (time >> 32))
         if what == _BAG_CHUNK:
             compression = header.get("compression", b"").decode("latin-1")
@@ -229,7 +225,7 @@ class BagContainer(ChunkedContainer):
             name = header.get("topic", b"").decode("utf-8", "replace")
             kind = _fields(read(start, size)).get("type", b"").decode("utf-8", "replace")
             kind = normalize_msgtype(kind) if "/" in kind else kind
-            self._topics[_number(header, "conn")] = Topic(name, kind, False)
+            self.topics[_number(header, "conn")] = Topic(name, kind, False)
         return Record("", *span)
 
 
@@ -277,7 +273,7 @@ class McapContainer(ChunkedContainer):
         if kind == Opcode.MESSAGE:
             channel, _, log_ns, _ = _MCAP_MESSAGE.unpack(read(start, _MCAP_MESSAGE.size))
             start += _MCAP_MESSAGE.size
-            return Record("message", start, stop - start, stop, self._topics.get(channel), log_ns)
+            return Record("message", start, stop - start, stop, self.topics.get(channel), log_ns)
         if kind == Opcode.CHUNK:
             _, _, inside, crc, letters = _MCAP_CHUNK.unpack(read(start, _MCAP_CHUNK.size))
             start += _MCAP_CHUNK.size
@@ -303,7 +299,7 @@ class McapContainer(ChunkedContainer):
             raise TruncatedError(f"a schema or channel is damaged: {error}") from error
         package, _, kind = self._schemas.get(channel.schema_id, "").rpartition("/")
         kind = f"{package.removesuffix('/msg')}/msg/{kind}" if package else kind
-        self._topics[channel.id] = Topic(channel.topic, kind, channel.message_encoding != "ros1")
+        self.topics[channel.id] = Topic(channel.topic, kind, channel.message_encoding != "ros1")
 
 
 class SqliteContainer(Container):
@@ -327,7 +323,7 @@ class SqliteContainer(Container):
             self._base.execute("PRAGMA trusted_schema = OFF")
             self._base.execute("PRAGMA cell_size_check = ON")
             rows = self._base.execute("SELECT id, name, type, serialization_format FROM topics")
-            self._topics = {number: Topic(str(name), str(kind), form == "cdr")
+            self.topics = {number: Topic(str(name), str(kind), form == "cdr")
                             for number, name, kind, form in rows}  # fmt: skip
             self._base.execute("SELECT topic_id, timestamp, data FROM messages LIMIT 0")
         except _DAMAGE as error:
@@ -348,8 +344,8 @@ class SqliteContainer(Container):
                 if not (isinstance(row, int) and row > last):
                     raise TruncatedError(f"the rows after {last} run in circles")
                 last = row
-                if topic in self._topics and isinstance(time, int) and isinstance(size, int):
-                    yield Message(self._topics[topic], time, Place(-1, row, size))
+                if topic in self.topics and isinstance(time, int) and isinstance(size, int):
+                    yield Message(self.topics[topic], time, Place(-1, row, size))
         except _DAMAGE as error:
             raise TruncatedError(f"after row {last}: {error}") from error
 
@@ -360,3 +356,24 @@ class SqliteContainer(Container):
                 return blob.read(MOST_BYTES if most is None else most)
         except _DAMAGE as error:
             raise TruncatedError(f"row {place.offset}: {error}") from error
+
+
+def _kind_of(path: Path) -> type[Container] | None:
+    with path.open("rb") as file:
+        start = file.read(16)
+    kinds = (BagContainer, McapContainer, SqliteContainer)
+    return next((kind for kind in kinds if start.startswith(kind.magic)), None)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a file starts like one of the supported bags."""
+    return _kind_of(path) is not None
+
+
+def open_part(path: Path) -> Container:
+    """Return the reader of one file of a bag."""
+    if (kind := _kind_of(path)) is not None:
+        return kind(path)
+    raise InvalidRecordingError(
+        f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
+    )

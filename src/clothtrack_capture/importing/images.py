@@ -61,9 +61,8 @@ def raw_depth(image: Any) -> Shaped[np.ndarray, "height width"]:
     if encoding not in DEPTH_ENCODINGS:
         known = ", ".join(DEPTH_ENCODINGS)
         raise TruncatedError(f"encoding {image.encoding!r}; depth is one of {known}")
-    kind = "f4" if encoding == "32fc1" else "u2"
-    rows = _raw_rows(image, int(kind[1]))
-    return rows.view(f"{'>' if image.is_bigendian else '<'}{kind}").astype(kind)
+    order, kind = ">" if image.is_bigendian else "<", "f4" if encoding == "32fc1" else "u2"
+    return _raw_rows(image, int(kind[1])).view(order + kind).astype(kind)
 
 
 def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
@@ -92,43 +91,15 @@ def to_rgb(picture: np.ndarray, conversion: int) -> UInt8[np.ndarray, "height wi
     raise TruncatedError(f"a picture of shape {picture.shape} that cannot be converted")
 
 
-def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
-    """Return the PNG in a CompressedImage of depth, and for floats a and b of a / z + b."""
-    form, data = str(message.format).lower(), bytes(message.data)
-    start = data.find(SIGNATURE, 0, 64)
-    if "rvl" in form or start < 0:
-        raise TruncatedError(
-            f"depth in the format {message.format!r}; only PNG keeps what was measured: record "
-            "image_raw or image_raw/compressedDepth"
-        )
-    if not form.startswith("32fc1"):
-        return data[start:], None
-    if start < 8:
-        raise TruncatedError("compressedDepth of floats without its head")
-    # The transport `compressedDepth` writes 12 bytes before the PNG: format, a and b.
-    return data[start:], struct.unpack_from("<ff", data, start - 8)
-
-
-def inverse_depth(png: bytes, curve: tuple[float, float]) -> Float[np.ndarray, "height width"]:
-    """Return depth in floats from a PNG that stores a / z + b."""
-    counts, (scale, shift) = png_depth(png), curve
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        numbers = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
-    return np.where(counts > 0, numbers, np.float32(0))
-
-
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
     """Return the counts of a complete 16-bit gray PNG."""
     width, height = encoded_size(data)
     if not data.startswith(SIGNATURE):
-        raise TruncatedError(
-            "depth as a JPEG, which has 8 bits and changes them; write 16-bit gray PNG"
-        )
+        raise TruncatedError("depth as a JPEG, which changes it; write 16-bit gray PNG")
     counts = _decoded(data, cv2.IMREAD_UNCHANGED)
     if counts.dtype != np.uint16 or counts.shape != (height, width):
-        raise TruncatedError(
-            f"a depth PNG of {data[24]} bits and color type {data[25]}; 16-bit gray is depth"
-        )
+        words = f"a PNG of {data[24]} bits and color type {data[25]}"
+        raise TruncatedError(f"depth as {words}; write 16-bit gray PNG")
     return counts
 
 
@@ -178,10 +149,7 @@ def encoded_size(data: bytes) -> tuple[int, int]:
 def _jpeg_size(data: bytes) -> tuple[int, int]:
     position = 2
     while position + 9 < len(data) and data[position] == 0xFF:
-        marker, length = (
-            data[position + 1],
-            int.from_bytes(data[position + 2 : position + 4], "big"),
-        )
+        marker, length = struct.unpack_from(">BH", data, position + 1)
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", data, position + 5)
             return width, height
@@ -210,15 +178,13 @@ class PackedPicture:
         """Return the PNG without remarks if it can be copied, or None if it must be decoded."""
         if not self.data.startswith(SIGNATURE) or self.data[24:29] != self.form:
             return None
-        width, height = self.size
-        chunks = _chunks(self.data)
+        (width, height), chunks = self.size, _chunks(self.data)
         kinds = [kind for kind, _ in chunks]
         if {*kinds} - {*_PIXELS, *_REMARKS} or kinds.count(b"IHDR") != 1:
             return None
         row = 1 + width * _SAMPLE_BYTES[self.form]
         packed = b"".join(self.data[span] for kind, span in chunks if kind == b"IDAT")
-        unpacker = zlib.decompressobj()
-        rows = b""
+        unpacker, rows = zlib.decompressobj(), b""
         with suppress(zlib.error):
             rows = unpacker.decompress(packed, height * row + 1)
         whole = len(rows) == height * row and unpacker.eof
@@ -226,9 +192,8 @@ class PackedPicture:
             raise TruncatedError("a PNG whose pixels are damaged")
         if not {*kinds} & {*_REMARKS}:
             return self.data
-        kept = (self.data[span.start - 8 : span.stop + 4] for kind, span in chunks
-                if kind in _PIXELS)  # fmt: skip
-        return SIGNATURE + b"".join(kept)
+        kept = (span for kind, span in chunks if kind in _PIXELS)
+        return SIGNATURE + b"".join(self.data[one.start - 8 : one.stop + 4] for one in kept)
 
 
 def packed_depth(data: bytes) -> PackedPicture:
@@ -244,3 +209,24 @@ def packed_mask(data: bytes) -> PackedPicture:
 def packed_color(data: bytes) -> PackedPicture:
     """Return a packed color picture, a PNG or JPEG."""
     return PackedPicture(data, _COLOR, _rgb)
+
+
+def compressed_depth(message: Any) -> PackedPicture | Float[np.ndarray, "height width"]:
+    """Return the depth in a CompressedImage, decoded only if the PNG in it holds a / z + b."""
+    form, data = str(message.format).lower(), bytes(message.data)
+    start = data.find(SIGNATURE, 0, 64)
+    if "rvl" in form or start < 0:
+        raise TruncatedError(
+            f"depth in the format {message.format!r}; only PNG keeps what was measured: record "
+            "image_raw or image_raw/compressedDepth"
+        )
+    if not form.startswith("32fc1"):
+        return packed_depth(data[start:])
+    if start < 8:
+        raise TruncatedError("compressedDepth of floats without its head")
+    # The transport `compressedDepth` writes 12 bytes before the PNG: format, a and b.
+    scale, shift = np.array(struct.unpack_from("<ff", data, start - 8), dtype=np.float32)
+    counts = png_depth(data[start:])
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        numbers = scale / (counts.astype(np.float32) - shift)
+    return np.where(counts > 0, numbers, np.float32(0))

@@ -67,7 +67,7 @@ def open_source(path: Path, options: ImportOptions) -> Source:
                 f"{seen}); see docs/import.md"
             )
         require_capture()
-        from clothtrack_capture.importing.bag_walk import is_bag
+        from clothtrack_capture.importing.containers import is_bag
         from clothtrack_capture.importing.kinect import KinectSource, is_kinect
         from clothtrack_capture.importing.ros_bags import BagSource
 

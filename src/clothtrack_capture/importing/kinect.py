@@ -58,6 +58,7 @@ _MODES = {
 _LEGACY = ((4096, 2304), (0, -384), (4096, 3072))
 _DEPTH_PLACE, _COLOR_PLACE = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
 _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
+_UNUSABLE = KeyError, TypeError, ValueError, AttributeError, RecursionError, ClothTrackError
 
 
 def is_kinect(path: Path) -> bool:
@@ -127,12 +128,10 @@ class Matroska:
             head = bytes(memoryview(packet)[:16])
             if self._file.read(start, len(head)) != head:
                 raise InvalidRecordingError(
-                    f"{path}: the container has compressed the pictures of track "
-                    f"{names[track]!r} once more; write them anew, such as with "
-                    "ffmpeg -i OLD.mkv -map 0 -codec copy NEW.mkv"
+                    f"{path}: the container has compressed track {names[track]!r} once more; write "
+                    "it anew: ffmpeg -i OLD.mkv -map 0 -codec copy NEW.mkv"
                 )
-            frame = StreamFrame(time_ns, (start, packet.size))
-            self.frames.setdefault(track, []).append(frame)
+            self.frames.setdefault(track, []).append(StreamFrame(time_ns, (start, packet.size)))
 
 
 @contextmanager
@@ -173,7 +172,6 @@ class KinectSource:
             notes.append(f"the file breaks off or is damaged ({content.damage}); {whole} whole "
                          "pictures were saved")  # fmt: skip
         depth = self._track("DEPTH")
-        self._color = color = None if options.without_color else self._track("COLOR")
         if depth is None:
             names = ", ".join(repr(track.name) for track in content.tracks) or "none"
             lost = "".join(f" ({note})" for note in notes)
@@ -181,24 +179,23 @@ class KinectSource:
                 f"{self._path}: no track DEPTH{lost}; tracks: {names}; record with k4arecorder or "
                 "OrbbecViewer, depth switched on"
             )
-        self._depth = depth
+        self._depth, self._color = depth, None if options.without_color else self._track("COLOR")
+        tracks = {"depth": depth} | ({} if self._color is None else {"color": self._color})
         calibration, lens_notes = self._calibration(options)
         notes += lens_notes
-        origins = {"depth": f"track {depth.name}"}
-        if color is not None:
-            origins["color"] = f"track {color.name}"
         notes += unused(options, "has no topics; --picker-csv gives a path", *TOPIC_OPTIONS, "fps")
         unit = DepthUnit(1e-3, "the format: millimeters")
         if options.depth_unit_m is not None:
             unit = DepthUnit(options.depth_unit_m, "given by --depth-unit-m")
+        frames = {kind: content.frames.get(track.number, []) for kind, track in tracks.items()}
         return Streams(
             kind="Azure Kinect / Orbbec Femto recording (Matroska)",
             calibration=calibration,
             unit=unit,
             ask_unit="",
-            depth=content.frames.get(depth.number, []),
-            color=None if color is None else content.frames.get(color.number, []),
-            origins=origins,
+            depth=frames["depth"],
+            color=frames.get("color"),
+            origins={kind: f"track {track.name}" for kind, track in tracks.items()},
             notes=notes,
         )
 
@@ -235,18 +232,14 @@ def kinect_intrinsics(
             return depth, None, np.eye(4)
         color = _intrinsics(by_place[_COLOR_PLACE], color_size)
         # Each pose leads from the device to the camera.
-        depth_pose, color_pose = (
-            rigid(by_place[place]["Rt"]["Rotation"], by_place[place]["Rt"]["Translation"])
-            for place in (_DEPTH_PLACE, _COLOR_PLACE)
-        )
-    except (
-        KeyError, TypeError, ValueError, AttributeError, RecursionError, ClothTrackError
-    ) as error:  # fmt: skip
+        poses = (by_place[place]["Rt"] for place in (_DEPTH_PLACE, _COLOR_PLACE))
+        first, second = (rigid(pose["Rotation"], pose["Translation"]) for pose in poses)
+    except _UNUSABLE as error:
         raise InvalidRecordingError(
             f"{path}: the attached calibration cannot be used ({type(error).__name__}: {error}); "
             "give the intrinsics with --intrinsics FILE"
         ) from error
-    return depth, color, color_pose @ np.linalg.inv(depth_pose)
+    return depth, color, second @ np.linalg.inv(first)
 
 
 def _intrinsics(camera: dict[str, Any], size: tuple[int, int]) -> Intrinsics:
@@ -254,18 +247,17 @@ def _intrinsics(camera: dict[str, Any], size: tuple[int, int]) -> Intrinsics:
         known = ", ".join(f"{width} x {height}" for width, height in _MODES)
         raise ValueError(f"pictures of {size[0]} x {size[1]} pixels; the modes have {known}")
     binned, crop = _MODES[size]
-    intrinsics = camera["Intrinsics"]
-    if intrinsics["ModelType"] != _MODEL:
-        raise ValueError(f"lens model {intrinsics['ModelType']}")
-    numbers = [float(parameter) for parameter in intrinsics["ModelParameters"]]
-    cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = numbers
+    lens = camera["Intrinsics"]
+    if lens["ModelType"] != _MODEL:
+        raise ValueError(f"lens model {lens['ModelType']}")
+    cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = map(float, lens["ModelParameters"])
     if int(camera["SensorWidth"]) * 9 == int(camera["SensorHeight"]) * 16:
         (across, down), (left, above), (full_width, full_height) = _LEGACY
         cx, fx = (cx * across - left) / full_width, fx * across / full_width
         cy, fy = (cy * down - above) / full_height, fy * down / full_height
     cx, cy = cx * binned[0] - crop[0] - 0.5, cy * binned[1] - crop[1] - 0.5
-    distortion = (k1, k2, p1, p2, k3, k4, k5, k6)
-    return Intrinsics(*size, fx * binned[0], fy * binned[1], cx, cy, distortion)
+    fx, fy = fx * binned[0], fy * binned[1]
+    return Intrinsics(*size, fx, fy, cx, cy, (k1, k2, p1, p2, k3, k4, k5, k6))
 
 
 def _depth(data: bytes, track: Track) -> np.ndarray:
@@ -280,8 +272,7 @@ def _color(data: bytes, track: Track) -> Content:
     if letters in ("MJPG", "JPEG"):
         return packed_color(data)
     if letters not in _RAW_COLOR:
-        known = ", ".join(_RAW_COLOR)
-        raise TruncatedError(f"color of the kind {letters!r}; known are MJPG, {known}")
+        raise TruncatedError(f"color is {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}")
     channels, conversion = _RAW_COLOR[letters]
     shape = (height * 3 // 2, width) if letters == "NV12" else (height, width, channels)
     if len(data) != math.prod(shape):

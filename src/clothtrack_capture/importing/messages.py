@@ -74,16 +74,14 @@ def header_stamp_ns(topic: Topic, data: bytes) -> int:
 
 def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, float]] | None:
     """Return the frame ("" without one) and position [m] of a pose message; None if it is lost."""
-    inner = message
+    header, inner = getattr(message, "header", None), message
     for name in ("pose", "pose", "transform", "point", "position", "translation"):
         inner = getattr(inner, name, inner)
     if not hasattr(inner, "z"):
         raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
-    x, y, z = float(inner.x), float(inner.y), float(inner.z)
-    if not np.isfinite([x, y, z]).all():
-        return None
-    header = getattr(message, "header", None)
-    return "" if header is None else str(header.frame_id).lstrip("/"), (x, y, z)
+    frame = "" if header is None else str(header.frame_id).lstrip("/")
+    position = float(inner.x), float(inner.y), float(inner.z)
+    return (frame, position) if np.isfinite(position).all() else None
 
 
 def gripper_joints(names: Sequence[str], asked: Sequence[str] = ()) -> list[str]:
@@ -124,20 +122,18 @@ def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
     fx, cx, fy, cy = (lens["P"][[0, 2, 5, 6]] if rectified else lens["K"][[0, 2, 4, 5]]).tolist()
     straight = rectified or not np.abs(lens["D"]).max(initial=0.0) > 0
     coefficients = () if straight else tuple(lens["D"].tolist())
-    problem = ""
-    if coefficients and model not in _BROWN | _FISHEYE:
-        known = ", ".join(sorted(_BROWN | _FISHEYE - {""}))
-        problem = f"distortion model {info.distortion_model!r} with coefficients; known are {known}"
-    elif not (fx > 0 and fy > 0):
-        problem = f"focal lengths ({fx:g}, {fy:g}), so the camera was not calibrated"
-    if problem:
-        raise InvalidRecordingError(f"{topic}: {problem}; give --intrinsics FILE")
     fisheye = bool(coefficients) and model in _FISHEYE
     size, roi = (int(info.width), int(info.height)), info.roi
     if 0 < roi.width * roi.height < size[0] * size[1]:
         size = int(roi.width), int(roi.height)
         cx, cy = cx - roi.x_offset, cy - roi.y_offset
     try:
+        if coefficients and model not in _BROWN | _FISHEYE:
+            words = f"distortion model {info.distortion_model!r} with coefficients; known are "
+            raise InvalidRecordingError(words + ", ".join(sorted(_BROWN | _FISHEYE - {""})))
+        if not (fx > 0 and fy > 0):
+            words = f"focal lengths ({fx:g}, {fy:g}), so the camera was not calibrated"
+            raise InvalidRecordingError(words)
         return Intrinsics(*size, fx, fy, cx, cy, coefficients, fisheye)
     except InvalidRecordingError as error:
         raise InvalidRecordingError(f"{topic}: {error}; give --intrinsics FILE") from error

@@ -30,7 +30,6 @@ class Registration:
     """
 
     def __init__(self, calibration: StereoCalibration, depth_unit_m: float) -> None:
-        """Precompute the rays of every pixel."""
         self._depth, self._color = calibration.depth, calibration.color or calibration.depth
         self.intrinsics: Intrinsics = self._color.rectified()
         self.carried = not calibration.registered
@@ -60,15 +59,13 @@ class Registration:
         lens = _of_size(counts.shape[1::-1], self._depth)
         if not self.carried:
             return lens.straighten(counts, nearest=True)
-        # Run one launch at a time, because the buffers are shared and Warp handles several threads
-        # badly.
+        # One launch at a time: the buffers are shared, and Warp handles several threads badly.
         with self._lock:
             self._painted.fill(_FARTHEST)
             measured = wp.array(np.ascontiguousarray(counts), device="cpu", copy=False)
             inputs = [measured, self._corners, self._shift, self._pixels]
             wp.launch(_splat, dim=len(counts), inputs=inputs, device="cpu")
-            # Keep the low 16 bits, which are 0 where nothing was painted.
-            return self._painted.astype(np.uint16)
+            return self._painted.astype(np.uint16)  # the low 16 bits: 0 where nothing was painted
 
     def color(
         self, picture: UInt8[np.ndarray, "_ _ *channels"], *, nearest: bool = False
@@ -79,10 +76,8 @@ class Registration:
 
 def _of_size(size: tuple[int, ...], lens: Intrinsics) -> Intrinsics:
     if size != lens.size:
-        raise TruncatedError(
-            f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for "
-            f"{lens.width} x {lens.height}"
-        )
+        raise TruncatedError(f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are "
+                             f"for {lens.width} x {lens.height}")  # fmt: skip
     return lens
 
 

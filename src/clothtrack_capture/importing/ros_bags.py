@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import images
 from clothtrack_capture.importing.bag_pickers import bag_paths
-from clothtrack_capture.importing.bag_walk import in_time_order, open_part, walk
-from clothtrack_capture.importing.containers import Container, Topic
-from clothtrack_capture.importing.images import packed_color, packed_depth
+from clothtrack_capture.importing.bag_walk import in_time_order, walk
+from clothtrack_capture.importing.containers import Container, Topic, open_part
+from clothtrack_capture.importing.images import packed_color
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
@@ -84,10 +84,9 @@ class BagSource:
 
     def picture(self, kind: str, frame: StreamFrame) -> Callable[[], Content]:
         """Return a function that decodes a picture."""
-        if kind == "depth":
-            return partial(_decode_depth, self._depth, self._read(frame))
-        assert self._color is not None
-        return partial(_decode_color, self._color, self._read(frame))
+        topic = self._depth if kind == "depth" else self._color
+        assert topic is not None
+        return partial(_decode, topic, self._read(frame), is_depth=kind == "depth")
 
     def close(self) -> None:
         """Close the files."""
@@ -303,15 +302,8 @@ def _of_the_sdk(topic: Topic) -> bool:
     return bool(SDK_STREAM.match(base_name(topic.name)))
 
 
-def _decode_depth(topic: Topic, data: bytes) -> Content:
+def _decode(topic: Topic, data: bytes, *, is_depth: bool) -> Content:
     message = decode(topic, data)
-    if topic.kind == COMPRESSED:
-        png, curve = images.depth_png(message)
-        return packed_depth(png) if curve is None else images.inverse_depth(png, curve)
-    return images.raw_depth(message)
-
-
-def _decode_color(topic: Topic, data: bytes) -> Content:
-    message = decode(topic, data)
-    packed = topic.kind == COMPRESSED
-    return packed_color(bytes(message.data)) if packed else images.raw_color(message)
+    if topic.kind != COMPRESSED:
+        return images.raw_depth(message) if is_depth else images.raw_color(message)
+    return images.compressed_depth(message) if is_depth else packed_color(bytes(message.data))

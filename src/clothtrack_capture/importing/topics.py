@@ -30,7 +30,6 @@ _COLOR = (
     r"image_(color|rect_color)$",
     r"(left|camera)/image_(rect_color|raw)$",
 )
-_TRANSPORTS = ("/compressedDepth", "/compressed")
 _GRAY = re.compile(r"infra|(^|[/_])ir([/_\d]|$)|mono|mask|label", re.IGNORECASE)
 # The RealSense SDK names a stream's topics `/device_0/sensor_0/Depth_0/...`.
 SDK_STREAM = re.compile(r"^(/device_\d+/sensor_\d+)/[A-Za-z]+_\d+/image/data$")
@@ -44,9 +43,7 @@ PNG_DEPTH = "16-bit PNG"
 
 def base_name(topic: str) -> str:
     """Return the topic name without its image transport."""
-    for transport in _TRANSPORTS:
-        topic = topic.removesuffix(transport)
-    return topic
+    return topic.removesuffix("/compressedDepth").removesuffix("/compressed")
 
 
 def is_picture(topic: Topic) -> bool:
