@@ -233,13 +233,13 @@ def kinect_intrinsics(
         color = _intrinsics(by_place[_COLOR_PLACE], color_size)
         # Each pose leads from the device to the camera.
         poses = (by_place[place]["Rt"] for place in (_DEPTH_PLACE, _COLOR_PLACE))
-        first, second = (rigid(pose["Rotation"], pose["Translation"]) for pose in poses)
+        depth_pose, color_pose = (rigid(pose["Rotation"], pose["Translation"]) for pose in poses)
     except _UNUSABLE as error:
         raise InvalidRecordingError(
             f"{path}: the attached calibration cannot be used ({type(error).__name__}: {error}); "
             "give the intrinsics with --intrinsics FILE"
         ) from error
-    return depth, color, second @ np.linalg.inv(first)
+    return depth, color, color_pose @ np.linalg.inv(depth_pose)
 
 
 def _intrinsics(camera: dict[str, Any], size: tuple[int, int]) -> Intrinsics:
