@@ -29,7 +29,7 @@ from clothtrack_capture.extra import require_capture
 from clothtrack_capture.importing.images import PackedPicture
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import Imported, ImportReport, report_of
-from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
+from clothtrack_capture.importing.intrinsics import read_json, rigid_matrix
 from clothtrack_capture.importing.picker_paths import add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
 from clothtrack_capture.importing.registration import Registration

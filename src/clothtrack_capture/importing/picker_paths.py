@@ -14,7 +14,7 @@ from clothtrack.recordings.picker_table import COLUMNS
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, actions_of
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics_file import text_of
+from clothtrack_capture.importing.intrinsics import text_of
 from clothtrack_capture.importing.source import Streams, listed
 
 _NAMES = {

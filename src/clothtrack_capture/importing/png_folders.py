@@ -14,13 +14,13 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.images import packed_color, packed_depth, packed_mask, png_depth
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.intrinsics_file import (
+from clothtrack_capture.importing.intrinsics import (
+    Intrinsics,
     IntrinsicsFile,
     read_intrinsics,
     read_json,
     text_of,
-)
+)  # fmt: skip
 from clothtrack_capture.importing.source import (
     TOPIC_OPTIONS,
     Content,
@@ -29,7 +29,7 @@ from clothtrack_capture.importing.source import (
     listed,
     natural_order,
     unused,
-)
+)  # fmt: skip
 from clothtrack_capture.importing.units import DepthUnit
 
 _FOLDERS = {
