@@ -34,9 +34,14 @@ TOPIC_OPTIONS = ("depth_topic", "color_topic", "world_frame", "picker_topic", "p
                  "gripper_topic", "gripper_joints", "gripper_closed_below")  # fmt: skip
 
 
+def flag(name: str) -> str:
+    """Return the name of an option as it is typed."""
+    return f"--{name.replace('_', '-')}"
+
+
 def unused(options: ImportOptions, why: str, *names: str) -> list[str]:
     """Return a remark on the options among these that were given and do not apply."""
-    given = [f"--{name.replace('_', '-')}" for name in names if getattr(options, name)]
+    given = [flag(name) for name in names if getattr(options, name)]
     return [f"{', '.join(given)} not used: this source {why}"] if given else []
 
 
