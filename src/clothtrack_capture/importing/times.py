@@ -168,7 +168,7 @@ def _jumps(
         if any(start < end and begin < stop for begin, end in told):
             continue
         told.append((start, stop))
-        remedy = "cut the source there if a clock was set; `track` simulates at most 2 s of it"
+        remedy = "cut the source there if a clock was set; a pause may stay (`track` simulates 2 s)"
         if usable and written[k] < steps[k] / 2:
             apart = f"{written[k] / 1e9:.3f} s apart"
             remedy = f"a clock was set: they were written {apart}; give --stamps written"
