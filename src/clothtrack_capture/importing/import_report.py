@@ -65,7 +65,7 @@ class ImportReport:
 
     def as_dict(self) -> dict[str, object]:
         """Return the report as JSON content."""
-        return asdict(self) | {"recording": str(self.recording), "source": str(self.source)}
+        return {**asdict(self), "recording": str(self.recording), "source": str(self.source)}
 
 
 @dataclass(frozen=True, eq=False)
