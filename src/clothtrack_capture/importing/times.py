@@ -134,7 +134,7 @@ def _clocks(
         )
     fifths = [(one, len(one) // 5) for one in (depth, frames)]
     parts = [part for one, count in fifths for part in (one[:count], one[-count:])]
-    ends = [late for part in parts if (late := _late_ns(part)) is not None]
+    ends = [delay for part in parts if (delay := _late_ns(part)) is not None]
     if min(count for _, count in fifths) > 1 and len(ends) == len(parts):
         drift = ends[3] - ends[2] - (ends[1] - ends[0])
         if abs(drift) > _DRIFT_NS:
