@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack_capture.importing.intrinsics import Intrinsics
+from clothtrack_capture.importing.intrinsics import Intrinsics, StereoCalibration
 from clothtrack_capture.importing.registration import Registration
-from clothtrack_capture.importing.source import StereoCalibration
 
 DEPTH = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5)
 

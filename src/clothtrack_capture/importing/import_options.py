@@ -31,8 +31,7 @@ class ImportOptions:
         gripper_topic: topic of the gripper's state: Bool, a number, or finger joints.
         gripper_joints: joints of the gripper in that topic, if their names do not tell.
         gripper_closed_below: value below which that number (joints: their sum [m]) means closed.
-        actions: first and last frame of every action, such as 10-50 60-90; from the gripper by
-            default.
+        actions: first and last frame of every action, such as 10-50 60-90, if not the gripper's.
         cloth: kind of cloth in the recording.
         cloth_color: name of the cloth's color, for segmentation.
         workers: number of threads; by default the number of processors, at most four.

@@ -5,7 +5,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,21 +29,18 @@ from clothtrack_capture.extra import require_capture
 from clothtrack_capture.importing.images import PackedPicture
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import Imported, ImportReport, report_of
-from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
+from clothtrack_capture.importing.intrinsics import Intrinsics, read_json, rigid_matrix
 from clothtrack_capture.importing.picker_paths import add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
 from clothtrack_capture.importing.registration import Registration
-from clothtrack_capture.importing.source import Content, Source, StreamFrame, Streams, listed
+from clothtrack_capture.importing.source import Content, Source, StreamFrame, Streams, flag, listed
 from clothtrack_capture.importing.times import LARGEST_TOLERANCE_S, Pair, pair, timed
 from clothtrack_capture.importing.units import DepthUnit, measured_unit
 
 _MOST_WORKERS = 4
 _FARTHEST_COLOR_M, _FARTHEST_CAMERA_M = 1.0, 100.0
 _BAG = re.compile(r"\.(db3|mcap|bag)( |$)")
-
-
-CAMERA = "camera"
-"""Name of the camera in the recording."""
+CAMERA = "camera"  # its name in the recording
 
 
 def open_source(path: Path, options: ImportOptions) -> Source:
@@ -53,9 +50,8 @@ def open_source(path: Path, options: ImportOptions) -> Source:
     if not (path.is_dir() or path.is_file()):
         raise InvalidRecordingError(f"{path}: neither a file nor a folder; name a recorded file")
     if (path / DOCUMENT).is_file():
-        raise InvalidRecordingError(
-            f"{path}: is a recording already; use it as it is: clothtrack inspect {path}"
-        )
+        words = "is a recording already; use it as it is: clothtrack inspect"
+        raise InvalidRecordingError(f"{path}: {words} {path}")
     try:
         # Pictures need none of the libraries of bags and Kinect files.
         if path.is_dir() and not _BAG.search(" ".join(file.name for file in path.iterdir())):
@@ -78,39 +74,21 @@ def open_source(path: Path, options: ImportOptions) -> Source:
     except OSError as error:
         raise StorageError.of(error) from error
     packed = "; unpack it first: zstd -d" if path.suffix in (".zstd", ".zst") else ""
-    raise InvalidRecordingError(
-        f"{path}: neither a ROS bag (.bag, .db3, .mcap) nor a Kinect recording (.mkv); "
-        f"its first bytes say so{packed}"
-    )
+    known = "neither a ROS bag (.bag, .db3, .mcap) nor a Kinect recording (.mkv)"
+    raise InvalidRecordingError(f"{path}: {known}; its first bytes say so{packed}")
 
 
 def import_recording(
     source: Path,
     folder: Path,
-    options: ImportOptions | None = None,
+    options: ImportOptions = ImportOptions(),  # noqa: B008
     *,
     progress: Progress | None = None,
 ) -> ImportReport:
-    """Import a recording, completely or not at all.
-
-    Args:
-        source: ROS bag, RealSense or Kinect recording, or folder of pictures.
-        folder: folder of the recording to write; must not exist.
-        options: options of the import.
-        progress: function called with the name, the frames done and the total frames.
-
-    Raises:
-        InvalidRecordingError: the source cannot be read.
-        InvalidConfigError: an option contradicts the source.
-        StorageError: the folder exists or the disk refuses.
-    """
-    options = options or ImportOptions()
+    """Import a recording, completely or not at all."""
     _check(options, folder)
-    opened = open_source(source, options)
-    try:
+    with closing(open_source(source, options)) as opened:
         done = _convert(source, folder, opened, options, progress)
-    finally:
-        opened.close()
     return report_of(source, folder, done, options)
 
 
@@ -135,8 +113,7 @@ def _convert(
     pairing = pair(source, frames["depth"], frames.get("color"), options)
     decoded = [partial(_numbers, opened, one.depth) for one in pairing.pairs]
     unit = measured_unit(source, streams.unit, decoded, streams.ask_unit)
-    empty = next((k for k, one in enumerate(decoded) if _shows(one)), 0)
-    if empty:
+    if empty := next((k for k, one in enumerate(decoded) if _shows(one)), 0):
         notes.append(f"the first {empty} depth pictures are 0 everywhere and were left out")
         pairing = replace(pairing, pairs=pairing.pairs[empty:])
     span_ns = pairing.pairs[0].depth.time_ns, pairing.pairs[-1].depth.time_ns
@@ -149,16 +126,13 @@ def _convert(
     job = _Job(opened, registration, unit)
     with _said_of_the_source(source, streams, unit, options), RecordingWriter(
         folder,
-        [_camera(source, registration, streams, options, pose)],
+        [_camera(source, streams.calibration.origin, registration.intrinsics, options, pose)],
         {CAMERA: unit.stored_m},
         table=table,
         cloth=ClothDescription(kind=options.cloth, color=options.cloth_color),
         provenance={
-            "imported_from": source.name,
-            "format": streams.kind,
-            "streams": dict(streams.origins),
-            "depth_unit_origin": unit.origin,
-            "registered_by_import": not streams.calibration.registered,
+            "imported_from": source.name, "format": streams.kind, "streams": dict(streams.origins),
+            "depth_unit_origin": unit.origin, "registered_by_import": registration.carried,
         },
     ) as writer:  # fmt: skip
         workers = options.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
@@ -203,47 +177,36 @@ def _said_of_the_source(
         lens = f"the intrinsics ({streams.calibration.origin})"
         pickers = options.picker_csv or options.picker_topic or options.picker_frame
         for pattern, name, option in (
-            (
-                "^cameras.*depth_unit_m|^median depth",
-                f"the unit of depth ({unit.origin})",
-                "--depth-unit-m",
-            ),
-            (r"^cameras|^size", lens, "" if options.intrinsics else "--intrinsics FILE"),
+            ("^cameras.*depth_unit_m|^median depth", f"the unit of depth ({unit.origin})",
+             "--depth-unit-m"),
+            ("^cameras|^size", lens, "" if options.intrinsics else "--intrinsics FILE"),
             ("^actions|does not cover", "--actions", "frames that the picker's path covers"),
             ("^cloth", "--cloth-color", ""),
             ("^table", f"the table ({options.world_from_camera})", "another --world-from-camera"),
             ("picker", f"the picker's path ({pickers})", "meters in the world's frame"),
-        ):
+        ):  # fmt: skip
             if re.search(pattern, f"{one.field} {one.problem} {one.file}"):
                 value = f"{one.field.rpartition('.')[2]} {one.value}".strip()
                 remedy = f"give {option}" if option else one.remedy.replace(DOCUMENT, name)
-                raise InvalidRecordingError(
-                    f"{source}: {name}: {value}: {one.problem}; {remedy}"
-                ) from error
+                said = f"{name}: {value}: {one.problem}; {remedy}"
+                raise InvalidRecordingError(f"{source}: {said}") from error
         raise InvalidRecordingError(f"{source}: {one.message}") from error
 
 
 def _lens_remedy(reason: str, streams: Streams, options: ImportOptions) -> str:
     if "the intrinsics are for" not in reason or "mask" in reason:
         return ""
+    remedy = f" ({streams.calibration.origin}); give those of this size with --intrinsics FILE"
     if options.intrinsics is not None:
-        return (
-            f"; correct width and height in {options.intrinsics}, or write `depth`, `color` and "
-            "`color_from_depth` there if their sizes differ (docs/import.md)"
-        )
-    return (
-        f" ({streams.calibration.origin}); give those of this size with --intrinsics FILE, with "
-        "`depth`, `color` and `color_from_depth` if their sizes differ (docs/import.md)"
-    )
+        remedy = f"; correct width and height in {options.intrinsics}"
+    sizes = "`depth`, `color` and `color_from_depth` if the sizes of both differ (docs/import.md)"
+    return f"{remedy}, with {sizes}"
 
 
 def _write_frames(
-    writer: RecordingWriter,
-    job: "_Job",
-    pairs: Sequence[Pair],
-    workers: int,
+    writer: RecordingWriter, job: "_Job", pairs: Sequence[Pair], workers: int,
     progress: Progress | None,
-) -> tuple[list[float], Counter[str]]:
+) -> tuple[list[float], Counter[str]]:  # fmt: skip
     """Write all decodable pairs; return their times and the reasons why others failed."""
     times: list[float] = []
     damaged: Counter[str] = Counter()
@@ -280,13 +243,11 @@ class _Job:
         self._masks = {mask.time_ns: mask for mask in source.streams.mask}
         # Per kind: whether a picture of this size is copied as it is, and how it is converted.
         self._how = {
-            "depth": (
-                to.keeps_depth if unit.copied else _never,
-                lambda numbers: to.depth(unit.counts(numbers)),
-            ),
+            "depth": (to.keeps_depth if unit.copied else None,
+                      lambda numbers: to.depth(unit.counts(numbers))),
             "color": (to.keeps_color, to.color),
-            "mask": (_never, partial(_mask, to)),
-        }
+            "mask": (None, partial(_mask, to)),
+        }  # fmt: skip
 
     def start(
         self, pool: ThreadPoolExecutor, moment: Pair
@@ -313,18 +274,14 @@ def _mask(to: Registration, picture: np.ndarray) -> np.ndarray:
         raise TruncatedError(f"a mask has the size of the color picture: {error}") from error
 
 
-def _never(size: tuple[int, int]) -> bool:  # noqa: ARG001
-    return False
-
-
 def _png_of(
     content: Content,
-    keeps: Callable[[tuple[int, int]], bool],
+    keeps: Callable[[tuple[int, int]], bool] | None,
     carry: Callable[[np.ndarray], np.ndarray],
 ) -> bytes:
     """Return the PNG of a picture, reusing the source's own file if possible."""
     if isinstance(content, PackedPicture):
-        png = content.plain_png() if keeps(content.size) else None
+        png = content.plain_png() if keeps is not None and keeps(content.size) else None
         if png is not None:
             return png
         content = content.decode()
@@ -335,32 +292,18 @@ def _check(options: ImportOptions, folder: Path) -> None:
     if folder.exists():
         raise StorageError(f"{folder} exists; delete it or write to another name")
     if not abs(options.color_offset_s or 0.0) < 1e9:
-        raise InvalidConfigError(
-            f"--color-offset-s is {options.color_offset_s}; give seconds below 1e9"
-        )
-    for name, value in (
-        ("--depth-unit-m", options.depth_unit_m),
-        ("--fps", options.fps),
-        ("--tolerance-s", options.tolerance_s),
-        ("--workers", options.workers),
-    ):
-        if value is not None and not 0 < value < 1e6:
-            raise InvalidConfigError(f"{name} is {value}; it must be positive")
+        raise InvalidConfigError(f"--color-offset-s is {options.color_offset_s}; give below 1e9")
+    for name in ("depth_unit_m", "fps", "tolerance_s", "workers"):
+        if (value := getattr(options, name)) is not None and not 0 < value < 1e6:
+            raise InvalidConfigError(f"{flag(name)} is {value}; it must be positive, below 1e6")
     if (tolerance_s := options.tolerance_s) is not None and tolerance_s > LARGEST_TOLERANCE_S:
         raise InvalidConfigError(
             f"--tolerance-s is {tolerance_s:g} s, at most {LARGEST_TOLERANCE_S:g}; pictures "
             "that far apart do not belong together; give seconds"
         )
-    paths = {
-        "--picker-csv": options.picker_csv,
-        "--picker-topic": options.picker_topic,
-        "--picker-frame": options.picker_frame,
-    }
-    worlds = {
-        "--world-from-camera": options.world_from_camera, "--world-frame": options.world_frame
-    }  # fmt: skip
-    for choices in (paths, worlds):
-        if len(given := [name for name, value in choices.items() if value]) > 1:
+    paths = ("picker_csv", "picker_topic", "picker_frame")
+    for names in (paths, ("world_from_camera", "world_frame")):
+        if len(given := [flag(name) for name in names if getattr(options, name)]) > 1:
             raise InvalidConfigError(f"{' and '.join(given)} tell the same: give one of them")
     if options.gripper_topic and options.picker_csv:
         raise InvalidConfigError(
@@ -376,17 +319,14 @@ def _world(
     file = options.world_from_camera
     if file is None:
         return streams.world_from_camera, None
-    content = read_json(file)
-    table = None
+    content, table = read_json(file), None
     if isinstance(content, dict):
         table = _table(file, content.get("table"))
         content = content.get("world_from_camera")
     pose = rigid_matrix(f"{file}: world_from_camera", content)
     if (far_m := float(np.linalg.norm(pose[:3, 3]))) > _FARTHEST_CAMERA_M:
-        raise InvalidConfigError(
-            f"{file}: world_from_camera puts the camera {far_m:g} m from the world's origin, more "
-            f"than {_FARTHEST_CAMERA_M:g} m; write meters"
-        )
+        words = f"puts the camera {far_m:g} m from the origin, more than {_FARTHEST_CAMERA_M:g} m"
+        raise InvalidConfigError(f"{file}: world_from_camera {words}; write meters")
     return pose, table
 
 
@@ -409,16 +349,11 @@ def _table(file: Path, content: object) -> Table | None:
 
 
 def _camera(
-    source: Path,
-    registration: Registration,
-    streams: Streams,
-    options: ImportOptions,
-    pose: Float[np.ndarray, "4 4"],
+    source: Path, origin: str, lens: Intrinsics, options: ImportOptions, pose: np.ndarray
 ) -> Camera:
     try:
-        return registration.intrinsics.camera(CAMERA, pose)
+        return lens.camera(CAMERA, pose)
     except InvalidRecordingError as error:
         remedy = "correct them" if options.intrinsics else "give --intrinsics FILE"
-        raise InvalidRecordingError(
-            f"{source}: the intrinsics ({streams.calibration.origin}): {error}; {remedy}"
-        ) from error
+        words = f"the intrinsics ({origin}): {error}; {remedy}"
+        raise InvalidRecordingError(f"{source}: {words}") from error

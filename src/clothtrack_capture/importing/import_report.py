@@ -15,48 +15,26 @@ from clothtrack_capture.importing.units import DepthUnit
 
 @dataclass(frozen=True)
 class ImportReport:
-    """The report of `clothtrack import`.
-
-    Attributes:
-        recording: folder that was written.
-        source: file or folder that was read.
-        kind: name of its format.
-        frames: number of frames written.
-        duration_s: time from the first to the last frame [s].
-        frames_per_s: mean frame rate over the whole duration [1/s].
-        camera: description of the recording's camera.
-        streams: topic, track or folder that each item came from.
-        depth_unit_m: meters per unit of depth.
-        depth_unit_origin: origin of the unit.
-        registration: whether depth had to be registered to the color camera.
-        tolerance_s: largest allowed time difference between the pictures of a frame [s].
-        worst_apart_s: largest time difference found [s].
-        dropped: description of what was left out.
-        notes: other remarks.
-        pickers: number of path samples per picker.
-        actions: first and last frame of every action.
-        missing: data that tracking still needs, and how to get them.
-        next_command: command to run next.
-    """
+    """The report of `clothtrack import`: what was written, from what, and what is left to do."""
 
     recording: Path
     source: Path
-    kind: str
-    frames: int
-    duration_s: float
-    frames_per_s: float
-    camera: str
-    streams: Mapping[str, str]
-    depth_unit_m: float
+    kind: str  # name of the source's format
+    frames: int  # that were written
+    duration_s: float  # from the first to the last frame
+    frames_per_s: float  # mean over the whole duration
+    camera: str  # description
+    streams: Mapping[str, str]  # topic, track or folder that each item came from
+    depth_unit_m: float  # meters per unit of stored depth
     depth_unit_origin: str
-    registration: str
-    tolerance_s: float
-    worst_apart_s: float
-    dropped: Sequence[str]
+    registration: str  # whether depth had to be registered to the color camera
+    tolerance_s: float  # largest allowed time difference between the pictures of a frame
+    worst_apart_s: float  # largest time difference found
+    dropped: Sequence[str]  # what was left out
     notes: Sequence[str]
-    pickers: Mapping[str, int]
-    actions: Sequence[tuple[int, int]]
-    missing: Sequence[str]
+    pickers: Mapping[str, int]  # number of path samples of each
+    actions: Sequence[tuple[int, int]]  # first and last frame of each
+    missing: Sequence[str]  # what tracking still needs, and how to get it
     next_command: str
 
     def text(self) -> str:
@@ -70,10 +48,8 @@ class ImportReport:
             "registration": self.registration,
         }
         if "color" in self.streams:
-            facts["pairing"] = (
-                f"at most {1e3 * self.worst_apart_s:.1f} ms apart "
-                f"(tolerance {1e3 * self.tolerance_s:.1f} ms)"
-            )
+            tolerance = f"tolerance {1e3 * self.tolerance_s:.1f} ms"
+            facts["pairing"] = f"at most {1e3 * self.worst_apart_s:.1f} ms apart ({tolerance})"
         if self.pickers:
             facts["picker path"] = ", ".join(f"{name}: {n}" for name, n in self.pickers.items())
             spans = ", ".join(f"{first}-{last}" for first, last in self.actions[:8])
@@ -89,9 +65,7 @@ class ImportReport:
 
     def as_dict(self) -> dict[str, object]:
         """Return the report as JSON content."""
-        content: dict[str, object] = asdict(self)
-        content |= {"recording": str(self.recording), "source": str(self.source)}
-        return content
+        return {**asdict(self), "recording": str(self.recording), "source": str(self.source)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,19 +138,14 @@ def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
         "writing where the source has them": pairing.doubles,
     }
     counts |= {f"frames: {reason}": count for reason, count in damaged.most_common(5)}
-    counts["more frames that cannot be decoded"] = sum(
-        count for _, count in damaged.most_common()[5:]
-    )
+    counts["more frames that cannot be decoded"] = sum(n for _, n in damaged.most_common()[5:])
     return [f"{count} {what}" for what, count in counts.items() if count]
 
 
 def _missing(folder: Path, done: Imported, options: ImportOptions, aside: str) -> list[str]:
     missing = []
     if not done.posed:
-        again = (
-            "; then import again with --world-from-camera camera.json, so that the path "
-            "stands in the same world"
-        )  # fmt: skip
+        again = "; then import again with --world-from-camera camera.json, for one world"
         missing.append(
             "the table and the camera's pose (world_from_camera): clothtrack calibrate-camera "
             f"{folder}{aside} finds both{again if done.paths else ''}"
@@ -185,10 +154,9 @@ def _missing(folder: Path, done: Imported, options: ImportOptions, aside: str) -
         missing.append(f"the table: clothtrack calibrate-camera {folder} --keep-world finds it")
     if not done.paths:
         missing.append(
-            f"the picker's path: clothtrack find-picker {folder} finds a colored tip in the "
-            "pictures (--tip-color NAME), or a bare hand by clicks (--by-hand); or write "
-            "picker.csv (docs/data_format.md), or import again with --picker-csv, --picker-topic "
-            "or --picker-frame"
+            f"the picker's path: clothtrack find-picker {folder} finds a colored tip (--tip-color "
+            "NAME) or a bare hand (--by-hand); or write picker.csv (docs/data_format.md), or "
+            "import again with --picker-csv, --picker-topic or --picker-frame"
         )
     elif not done.actions:
         gripper = "" if options.gripper_topic else "--gripper-topic, a column `closed`, or "

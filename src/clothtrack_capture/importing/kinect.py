@@ -27,12 +27,10 @@ from clothtrack.errors import ClothTrackError, InvalidRecordingError, TruncatedE
 from clothtrack_capture.importing.containers import FileOnDemand
 from clothtrack_capture.importing.images import packed_color, to_rgb
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.intrinsics_file import read_intrinsics
+from clothtrack_capture.importing.intrinsics import Intrinsics, StereoCalibration, read_intrinsics
 from clothtrack_capture.importing.source import (
     TOPIC_OPTIONS,
     Content,
-    StereoCalibration,
     StreamFrame,
     Streams,
     unused,

@@ -14,14 +14,12 @@ from clothtrack.recordings.picker_table import COLUMNS
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, actions_of
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics_file import text_of
+from clothtrack_capture.importing.intrinsics import text_of
 from clothtrack_capture.importing.source import Streams, listed
 
 _NAMES = {
     "time": ("time", "t", "timestamp", "stamp"),
-    "x": ("x", "pos_x", "position_x"),
-    "y": ("y", "pos_y", "position_y"),
-    "z": ("z", "pos_z", "position_z"),
+    **{axis: (axis, f"pos_{axis}", f"position_{axis}") for axis in "xyz"},
     "closed": ("closed", "gripper_closed", "grasped"),
     "picker": ("picker",),
 }
@@ -43,13 +41,8 @@ def placed_paths(
 ) -> tuple[dict[str, PickerPath], list[str]]:
     """Return the paths in the world and on the recording's clock, and remarks about them.
 
-    Args:
-        source: path of the source, for error messages.
-        streams: content of the source, including its paths.
-        options: options with the CSV file of a path and its clock.
-        pose: transform world_from_camera.
-        span_ns: times of the first and the last frame on the source's clock [ns].
-        posed: whether that pose is known; otherwise the camera's frame is used as the world.
+    `pose` is world_from_camera, or else (not `posed`) the camera's frame stands in for the world;
+    `span_ns` has the times of the first and the last frame on the source's clock.
     """
     first_ns, lasts_s = span_ns[0], (span_ns[1] - span_ns[0]) / 1e9
     if options.picker_csv is not None:
@@ -59,24 +52,19 @@ def placed_paths(
     else:
         paths, notes = dict(streams.paths), []
         if streams.path_frame == "camera":
-            paths = {
-                name: replace(path, positions=path.positions @ pose[:3, :3].T + pose[:3, 3])
-                for name, path in paths.items()
-            }
+            paths = {name: replace(one, positions=one.positions @ pose[:3, :3].T + pose[:3, 3])
+                     for name, one in paths.items()}  # fmt: skip
         elif paths and streams.path_frame != "world":
+            words = f"the picker's path in frame {streams.path_frame}"
             if not posed:
                 raise InvalidConfigError(
-                    f"{source}: the picker's path is in frame {streams.path_frame}, and nothing "
-                    "ties that to the camera; give the camera's pose in it with "
-                    "--world-from-camera FILE"
+                    f"{source}: nothing ties {words} to the camera; give the camera's pose in it "
+                    "with --world-from-camera FILE"
                 )
-            notes.append(
-                f"the picker's path in frame {streams.path_frame} was taken to be in the world"
-            )
+            notes.append(f"{words} was taken to be in the world")
         start_s = (first_ns - streams.path_start_ns) / 1e9
-        remedy = "record both with the same clock"
-        if options.stamps == "header":
-            remedy = "where they have two clocks, give --stamps written"
+        again = "record both with the same clock"
+        remedy = "give --stamps written" if options.stamps == "header" else again
     paths = {name: replace(path, time_s=path.time_s - start_s) for name, path in paths.items()}
     for name, path in paths.items():
         start, stop = path.time_s[[0, -1]].tolist()
@@ -95,13 +83,10 @@ def _logged(
 ) -> tuple[dict[str, PickerPath], list[str], float, str]:
     """Return a log's paths, remarks, the first frame on its clock [s], and what else may help."""
     paths, notes = read_path_table(path)
-    starts = {"recording": 0.0, "source": first_ns / 1e9}
-    clock = options.picker_clock
+    starts, clock = {"recording": 0.0, "source": first_ns / 1e9}, options.picker_clock
     other = "recording" if clock == "source" else "source"
-    remedy = (
-        f"the first frame is at {first_ns / 1e9:.3f} s of the source's clock; write the path's "
-        "times on that clock, or from the first frame on"
-    )
+    first = f"the first frame is at {first_ns / 1e9:.3f} s of the source's clock"
+    remedy = f"{first}; write the path's times on that clock, or from the first frame on"
     if all(_meets(path.time_s - starts[other], lasts_s) for path in paths.values()):
         remedy = f"{path} was read on the clock of the {clock}; give --picker-clock {other}"
     return paths, notes, starts[clock], remedy
@@ -112,36 +97,23 @@ def _meets(times: np.ndarray, lasts_s: float) -> bool:
 
 
 def add_pickers(
-    writer: RecordingWriter,
-    paths: Mapping[str, PickerPath],
-    frame_times: Sequence[float],
+    writer: RecordingWriter, paths: Mapping[str, PickerPath], frame_times: Sequence[float],
     words: Sequence[str],
-) -> tuple[list[PickAndPlace], list[str]]:
+) -> tuple[list[PickAndPlace], list[str]]:  # fmt: skip
     """Write the paths, and the actions given by them or by the user."""
     for name, path in paths.items():
         writer.set_picker_path(name, path)
-    notes = []
+    actions, lost = actions_of(paths, frame_times)
     if words:
-        actions = actions_in_words(words, len(frame_times), list(paths))
-    else:
-        actions, left_out = actions_of(paths, frame_times)
-        if left_out:
-            notes.append(f"{left_out} closures of a picker give no action: no two frames show them")
+        actions, lost = actions_in_words(words, len(frame_times), list(paths)), 0
+    notes = [f"{lost} closures of a picker give no action: no two frames show them"] if lost else []
     for action in actions:
         writer.add_action(action.first_frame, action.last_frame, action.pickers)
     return actions, notes
 
 
 def read_path_table(path: Path) -> tuple[dict[str, PickerPath], list[str]]:
-    """Return the path per picker from a CSV file, with the file's times, and remarks.
-
-    The columns are those of `picker.csv`, or `time, x, y, z` and optionally `closed`, in any order,
-    in seconds and meters; a name may end with another unit (`time_ms`, `x_mm`).
-
-    Raises:
-        InvalidRecordingError: the file cannot be read, a column is missing or a field is not a
-            number.
-    """
+    """Return the path per picker from a CSV file, with the file's times, and remarks."""
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise InvalidRecordingError(f"{path}: larger than {_LARGEST_FILE} bytes; shorten it")
@@ -159,7 +131,7 @@ def read_path_table(path: Path) -> tuple[dict[str, PickerPath], list[str]]:
                          csv.reader(lines[begin + 1 :], delimiter=separator),
                          "." if separator == "," else ",")  # fmt: skip
     except csv.Error as error:
-        raise InvalidRecordingError(f"{path}: not a CSV file ({error})") from error
+        raise InvalidRecordingError(f"{path}: not a CSV file ({error}); correct it") from error
 
 
 def _column(word: str) -> tuple[str, float] | None:
@@ -188,8 +160,7 @@ def _paths_in(
     notes = [f"columns of {path.name} that were not used: {listed(unused)}"] if unused else []
     named, _ = columns.pop("picker", (None, 1.0))
     order = [columns[name] for name in ("time", "x", "y", "z", "closed") if name in columns]
-    tables: dict[str, list[list[float]]] = {}
-    doubles = 0
+    tables, doubles = dict[str, list[list[float]]](), 0
     for number, row in enumerate(rows, start=begin):
         if not "".join(row).strip() or row[0].startswith("#"):
             continue
@@ -216,9 +187,8 @@ def _paths_in(
     if doubles:
         finest = min(float(np.diff(one.time_s).min()) for one in paths.values())
         notes.append(
-            f"{doubles} rows of {path.name} repeat the time of the row before: its times have a "
-            f"resolution of {finest:g} s; the last row of each time was kept, so the path may be "
-            "wrong by that long"
+            f"{doubles} rows of {path.name} repeat the time of the row before and replace it: its "
+            f"times have a resolution of {finest:g} s, so the path may be wrong by that long"
         )
     return paths, notes
 
@@ -226,10 +196,8 @@ def _paths_in(
 def _path_of(path: Path, name: str, table: np.ndarray, notes: list[str]) -> PickerPath:
     """Return the path in rows of time, x, y, z and perhaps `closed`; add remarks."""
     if len(table) < 2:
-        raise InvalidRecordingError(
-            f"{path}: {len(table)} positions of {name!r} at different times; a path has at least "
-            "two"
-        )
+        words = f"{len(table)} positions of {name!r} at different times"
+        raise InvalidRecordingError(f"{path}: {words}; a path has at least two: log more")
     scale = next((unit for most, unit in _EPOCHS if table[0, 0] > most), 1.0)
     if scale != 1.0:
         notes.append(f"the times of {path.name} were taken to be {1 / scale:.0e} per second")
@@ -258,12 +226,9 @@ def actions_in_words(
     """Return the actions given as first and last frame, such as "10-50"."""
     actions: list[PickAndPlace] = []
     for word in words:
-        match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", word)
-        if match is None:
-            raise InvalidConfigError(
-                f"--actions {word!r}: write first and last frame, such as 10-50"
-            )
-        first, last = int(match[1]), int(match[2])
+        if not re.fullmatch(r"\d{1,9}-\d{1,9}", word):
+            raise InvalidConfigError(f"--actions {word!r}: write first and last frame, as in 10-50")
+        first, last = map(int, word.split("-"))
         before = actions[-1].last_frame if actions else 0
         if not before <= first < last < frames:
             raise InvalidConfigError(
@@ -272,7 +237,6 @@ def actions_in_words(
             )
         actions.append(PickAndPlace(first, last, tuple(pickers)))
     if actions and not pickers:
-        raise InvalidConfigError(
-            "--actions without a picker's path: give --picker-csv, --picker-topic or --picker-frame"
-        )
+        wanted = "give --picker-csv, --picker-topic or --picker-frame"
+        raise InvalidConfigError(f"--actions without a picker's path: {wanted}")
     return actions

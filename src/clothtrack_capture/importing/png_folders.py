@@ -14,13 +14,13 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.images import packed_color, packed_depth, packed_mask, png_depth
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.intrinsics_file import (
+from clothtrack_capture.importing.intrinsics import (
+    Intrinsics,
     IntrinsicsFile,
     read_intrinsics,
     read_json,
     text_of,
-)
+)  # fmt: skip
 from clothtrack_capture.importing.source import (
     TOPIC_OPTIONS,
     Content,
@@ -29,14 +29,12 @@ from clothtrack_capture.importing.source import (
     listed,
     natural_order,
     unused,
-)
+)  # fmt: skip
 from clothtrack_capture.importing.units import DepthUnit
 
 _FOLDERS = {
-    "depth": ("depth",),
-    "color": ("rgb", "color", "image", "images"),
-    "mask": ("mask", "masks"),
-}
+    "depth": ("depth",), "color": ("rgb", "color", "image", "images"), "mask": ("mask", "masks")
+}  # fmt: skip
 _PACKED = {"depth": packed_depth, "color": packed_color, "mask": packed_mask}
 _INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera.json")
 _BOP = "scene_camera.json"
@@ -59,9 +57,9 @@ class FolderSource:
     def __init__(self, path: Path, options: ImportOptions) -> None:
         """List the pictures and read intrinsics, unit and times."""
         self._path, self._options, self._notes = path, options, list[str]()
-        self._used = {_BOP}
-        lens_file = self._there(_INTRINSICS)
-        lens_file = options.intrinsics or lens_file
+        self._used, self._is_bop = {_BOP}, (path / _BOP).is_file()
+        there = self._there(_INTRINSICS)
+        lens_file = options.intrinsics or there
         self._lens = None if lens_file is None else read_intrinsics(lens_file)
         files = {kind: self._pictures(kind) for kind in _FOLDERS}
         lists = [self._there(names) for names in (_ASSOCIATIONS, ("depth.txt",), _COLOR_LISTS)]
@@ -70,9 +68,9 @@ class FolderSource:
         elif lists[1] is not None:
             kind, streams = "folder in TUM style", self._tum(lists[1], lists[2], files["color"])
         else:
-            kind = "folder in BOP style" if (path / _BOP).is_file() else "folder in Open3D style"
+            kind = f"folder in {'BOP' if self._is_bop else 'Open3D'} style"
             streams = self._numbered(files)
-        lens = self._lens or (self._bop() if (path / _BOP).is_file() else None)
+        lens = self._lens or (self._bop() if self._is_bop else None)
         ask = self._missing(files=bool(lists[0] or lists[1]))
         if lens is None:
             raise InvalidRecordingError(f"{path}: {ask}")
@@ -84,8 +82,7 @@ class FolderSource:
         if options.without_color:
             streams.pop("color", None)
         if files["mask"]:
-            times = {frame.place.stem: frame.time_ns for each in streams.values() for frame in each}
-            streams["mask"] = self._like(files["mask"], times, streams["depth"], "mask")
+            streams["mask"] = self._like(files["mask"], streams, "mask")
         every = (file.name + "/" * file.is_dir() for file in islice(path.iterdir(), _MOST_FILES))
         if rest := sorted(name for name in every if name.rstrip("/") not in self._used
                           and not _IGNORED.search(name)):  # fmt: skip
@@ -138,10 +135,8 @@ class FolderSource:
         if not files:
             self._notes.append(f"{name}/ has no pictures")
         if others:
-            self._notes.append(
-                f"{len(others)} files in {name}/ that are no PNG or JPEG in this folder: "
-                f"{listed(sorted(others), 3)}"
-            )
+            words = f"{len(others)} files in {name}/ that are no PNG or JPEG in this folder"
+            self._notes.append(f"{words}: {listed(sorted(others), 3)}")
         return sorted(files, key=lambda file: natural_order(file.stem))
 
     def _lines(self, path: Path, pairs: int) -> list[list[StreamFrame]]:
@@ -157,19 +152,16 @@ class FolderSource:
                 continue
             times = [(_name_times([word]) or [_nanoseconds(word)])[0] for word in words[::2]]
             files = [self._path / word.strip().replace("\\", "/") for word in words[1::2]]
-            if len(words) == 2 * pairs and None not in times and all(
-                _lies_in(root, file) for file in files
-            ):  # fmt: skip
+            whole = len(words) == 2 * pairs and None not in times
+            if whole and all(_lies_in(root, file) for file in files):
                 result.append([StreamFrame(time or 0, file)
                                for time, file in zip(times, files, strict=True)])  # fmt: skip
             else:
                 skipped.append(line.strip())
         words = f"{len(skipped)} lines are not `{('seconds file ' * pairs).strip()}`"
         if skipped and not result:
-            raise InvalidRecordingError(
-                f"{path}: {words}, such as {skipped[0][:80]!r}; write a time and a file in this "
-                "folder, or remove the list"
-            )
+            remedy = "write a time and a file in this folder, or remove the list"
+            raise InvalidRecordingError(f"{path}: {words}, such as {skipped[0][:80]!r}; {remedy}")
         if skipped:
             self._notes.append(f"{path.name}: {words}, left out: {listed(skipped, 2)[:80]}")
         return result
@@ -180,10 +172,8 @@ class FolderSource:
         streams = {"depth": [frame for (frame,) in self._lines(depth_list, 1)]}
         if color_list is not None:
             streams["color"] = [frame for (frame,) in self._lines(color_list, 1)]
-        elif color_files:
-            times = {frame.place.stem: frame.time_ns for frame in streams["depth"]}
-            color = self._like(color_files, times, streams["depth"], "color")
-            streams |= {"color": color} if color else {}
+        elif color_files and (color := self._like(color_files, streams, "color")):
+            streams["color"] = color
         return streams
 
     def _associated(self, path: Path) -> dict[str, list[StreamFrame]]:
@@ -199,8 +189,7 @@ class FolderSource:
     def _numbered(self, files: Mapping[str, list[Path] | None]) -> dict[str, list[StreamFrame]]:
         """Return the frames of pictures whose names tell their order, or their times."""
         pictures = {kind: files[kind] or [] for kind in ("depth", "color") if files[kind]}
-        times = {kind: _name_times([file.stem for file in each])
-                 for kind, each in pictures.items()}  # fmt: skip
+        times = {kind: _name_times([one.stem for one in each]) for kind, each in pictures.items()}
         if self._options.fps is None and pictures and all(times.values()):
             self._notes.append("the names of the pictures are their times")
         else:
@@ -212,13 +201,12 @@ class FolderSource:
             every = sorted({key for each in keys.values() for key in each}, key=natural_order)
             moment = {key: round(1e9 * number / fps) for number, key in enumerate(every)}
             times = {kind: [moment[key] for key in each] for kind, each in keys.items()}
-            if every and every[0].isdigit() and every[-1].isdigit() and (
-                len(every) < int(every[-1]) - int(every[0]) + 1 < _MOST_FILES
+            first, last = (every[0], every[-1]) if every else ("", "")
+            if first.isdigit() and last.isdigit() and (
+                len(every) < int(last) - int(first) + 1 < _MOST_FILES
             ):  # fmt: skip
-                self._notes.append(
-                    f"the numbers of the pictures run from {every[0]} to {every[-1]} with gaps; "
-                    f"the {len(every)} that are there follow each other without one"
-                )
+                gaps = f"the numbers of the pictures run from {first} to {last} with gaps"
+                self._notes.append(f"{gaps}: the {len(every)} there were taken without one")
             self._notes.append(f"no time stamps: pictures taken as {fps:g} per second")
         return {"depth": []} | {
             kind: sorted(map(StreamFrame, times[kind] or (), each), key=lambda one: one.time_ns)
@@ -250,38 +238,34 @@ class FolderSource:
         return keys
 
     def _like(
-        self, files: list[Path], times: Mapping[str, int], depth: list[StreamFrame], kind: str
+        self, files: list[Path], streams: Mapping[str, list[StreamFrame]], kind: str
     ) -> list[StreamFrame]:
         """Return the pictures at the times of those of the same name, or else by position."""
-        numbers = dict(zip(_keys([frame.place for frame in depth]),
-                           [frame.time_ns for frame in depth], strict=True))  # fmt: skip
-        mine = _keys(files)
-        tries = [([file.stem for file in files], times), (mine, numbers)]
+        depth, mine = streams["depth"], _keys(files)
+        moments = [frame.time_ns for frame in depth]
+        names = {frame.place.stem: frame.time_ns for each in streams.values() for frame in each}
+        numbers = dict(zip(_keys([frame.place for frame in depth]), moments, strict=True))
+        tries = [([file.stem for file in files], names), (mine, numbers)]
         if len(mine) == len(depth) and {*mine} != {*numbers} and _is_shifted([*numbers], mine):
             tries = []
-        found: list[StreamFrame] = []
         for keys, known in tries:
             found = [StreamFrame(known[key], file)
                      for key, file in zip(keys, files, strict=True) if key in known]  # fmt: skip
             if found:
                 break
         else:
-            if len(files) == len(depth):
+            found = list(map(StreamFrame, moments, files)) if len(files) == len(depth) else []
+            if found:
                 self._notes.append(f"the {len(files)} pictures of {kind} were matched by position")
-                return [StreamFrame(frame.time_ns, file)
-                        for frame, file in zip(depth, files, strict=True)]  # fmt: skip
-        if len(found) < len(files):
-            self._notes.append(
-                f"{len(files) - len(found)} of {len(files)} pictures of {kind} with the name of no "
-                "picture of depth were left out; name those of one moment alike"
-            )
+        if lost := len(files) - len(found):
+            words = f"{lost} of {len(files)} pictures of {kind} with the name of none of depth"
+            self._notes.append(f"{words} were left out; name those of one moment alike")
         return found
 
     def _missing(self, *, files: bool) -> str:
         """Return everything that a folder does not specify, and how to specify it."""
         options, lens = self._options, self._lens
-        is_bop = lens is None and (self._path / _BOP).is_file()
-        wanted = {}
+        is_bop, wanted = lens is None and self._is_bop, dict[str, str]()
         if not files and not (options.fps or (lens is not None and lens.fps)):
             wanted["when the pictures were taken"] = "--fps"
         if lens is None and not is_bop:
@@ -303,12 +287,11 @@ class FolderSource:
             raise InvalidRecordingError(f"{path}: no picture is described; see docs/import.md")
         change = np.abs(numbers - numbers[0]).max(axis=0)
         if change[:5].max() > 1e-6 or change[5:].max() > _MOST_MOVED_M:
-            moved = f"the camera moves by {change[5:8].max():.3f} m or turns (cam_t_w2c, cam_R_w2c)"
-            lens = "cam_K or depth_scale changes from picture to picture"
-            raise InvalidRecordingError(
-                f"{path}: {lens if change[:5].max() > 1e-6 else moved}; a recording has one fixed "
-                "camera: split the scene"
-            )
+            what = f"the camera moves by {change[5:8].max():.3f} m or turns (cam_t_w2c, cam_R_w2c)"
+            if change[:5].max() > 1e-6:
+                what = "cam_K or depth_scale changes from picture to picture"
+            remedy = "a recording has one fixed camera: split the scene"
+            raise InvalidRecordingError(f"{path}: {what}; {remedy}")
         fx, fy, cx, cy, scale = numbers[0, :5].tolist()
         if not (fx > 0 and fy > 0 and 0 < scale < 1e6):
             raise InvalidRecordingError(f"{path}: cam_K or depth_scale is not positive; correct it")
@@ -318,7 +301,7 @@ class FolderSource:
                 one = Intrinsics(width, height, fx, fy, cx, cy)
                 unit = DepthUnit(scale * 1e-3, f"depth_scale {scale:g} in {_BOP}")
                 return IntrinsicsFile(path, one, one, np.eye(4), None, unit)
-        raise InvalidRecordingError(f"{self._path}: no 16-bit PNG of depth can be read")
+        raise InvalidRecordingError(f"{self._path}: no 16-bit PNG of depth can be read; add one")
 
 
 def _bop_entry(path: Path, entry: Any) -> list[float]:
@@ -329,9 +312,8 @@ def _bop_entry(path: Path, entry: Any) -> list[float]:
         turn = [float(value) for value in entry.get("cam_R_w2c", np.eye(3).ravel())]
         return [k[0], k[4], k[2], k[5], scale, *place[:3], *turn[:9]]
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise InvalidRecordingError(
-            f"{path}: an entry has no cam_K of nine numbers or no depth_scale; correct it"
-        ) from error
+        words = "an entry has no cam_K of nine numbers or no depth_scale; correct it"
+        raise InvalidRecordingError(f"{path}: {words}") from error
 
 
 def _keys(files: Sequence[Path]) -> list[str]:
@@ -364,8 +346,7 @@ def _is_shifted(depth: Sequence[str], color: Sequence[str]) -> bool:
 def _name_times(stems: Sequence[str]) -> list[int] | None:
     """Return the times that names tell [ns]; None if they are no times.
 
-    They are seconds, mostly with decimals, or counts since 1970: 13, 16 and 19 digits are
-    milliseconds, microseconds and nanoseconds.
+    They are seconds, most with decimals, or since 1970: 13, 16, 19 digits count ms, us, ns.
     """
     for pattern in (r"(?:\D*[_-](?=\d{9}))?(\d{1,10}(?:\.\d*)?)",
                     r"(?:\D*[_-])?(\d{9,10})[_-](\d{9})",
@@ -393,6 +374,4 @@ def _lies_in(folder: Path, file: Path) -> bool:
 def _nanoseconds(word: str) -> int | None:
     """Return a decimal number of seconds as exact nanoseconds."""
     match = re.fullmatch(r"(\d{1,10})(?:\.(\d*))?", word)
-    if match is None:
-        return None
-    return int(match[1]) * 10**9 + int((match[2] or "").ljust(9, "0")[:9])
+    return match and int(match[1]) * 10**9 + int((match[2] or "").ljust(9, "0")[:9])

@@ -8,8 +8,7 @@ import warp as wp
 from jaxtyping import UInt8, UInt16
 
 from clothtrack.errors import TruncatedError
-from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.source import StereoCalibration
+from clothtrack_capture.importing.intrinsics import Intrinsics, StereoCalibration
 
 # Greater than every painted value; its low 16 bits are 0, which means "no depth".
 _FARTHEST = 0x7FFF0000

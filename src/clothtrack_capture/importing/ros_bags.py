@@ -22,12 +22,10 @@ from clothtrack_capture.importing.bag_walk import in_time_order, walk
 from clothtrack_capture.importing.containers import Container, Topic, open_part
 from clothtrack_capture.importing.images import packed_color
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics import Intrinsics
-from clothtrack_capture.importing.intrinsics_file import read_intrinsics
+from clothtrack_capture.importing.intrinsics import Intrinsics, StereoCalibration, read_intrinsics
 from clothtrack_capture.importing.messages import decode, intrinsics_of, payload
 from clothtrack_capture.importing.source import (
     Content,
-    StereoCalibration,
     StreamFrame,
     Streams,
     natural_order,

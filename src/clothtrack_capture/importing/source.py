@@ -11,11 +11,10 @@ from jaxtyping import Float
 from clothtrack.recordings.recording import PickerPath
 from clothtrack_capture.importing.images import PackedPicture
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.intrinsics import Intrinsics
+from clothtrack_capture.importing.intrinsics import StereoCalibration
 from clothtrack_capture.importing.units import DepthUnit
 
-# Pixels, or an encoded file of them.
-Content = np.ndarray | PackedPicture
+Content = np.ndarray | PackedPicture  # pixels, or an encoded file of them
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
@@ -30,14 +29,19 @@ def listed(names: Sequence[str], most: int = 8) -> str:
     return ", ".join([*names[:most], *more])
 
 
+# The options that name something in a bag.
 TOPIC_OPTIONS = ("depth_topic", "color_topic", "world_frame", "picker_topic", "picker_frame",
                  "gripper_topic", "gripper_joints", "gripper_closed_below")  # fmt: skip
-"""The options that name something in a bag."""
+
+
+def flag(name: str) -> str:
+    """Return the name of an option as it is typed."""
+    return f"--{name.replace('_', '-')}"
 
 
 def unused(options: ImportOptions, why: str, *names: str) -> list[str]:
     """Return a remark on the options among these that were given and do not apply."""
-    given = [f"--{name.replace('_', '-')}" for name in names if getattr(options, name)]
+    given = [flag(name) for name in names if getattr(options, name)]
     return [f"{', '.join(given)} not used: this source {why}"] if given else []
 
 
@@ -49,24 +53,6 @@ class StreamFrame:
     place: Any
     written_ns: int | None = None
     stamped: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class StereoCalibration:
-    """The intrinsics and the relative pose [m] of a depth camera's two sensors."""
-
-    depth: Intrinsics
-    color: Intrinsics | None
-    color_from_depth: Float[np.ndarray, "4 4"]
-    origin: str
-
-    @property
-    def registered(self) -> bool:
-        """Whether the same pixel of both pictures already shows the same point."""
-        if self.color is None:
-            return True
-        standing = np.abs(self.color_from_depth - np.eye(4)).max() < 1e-6
-        return bool(standing and self.depth.same_pixels(self.color))
 
 
 @dataclass(frozen=True, eq=False)

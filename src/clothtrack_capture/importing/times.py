@@ -1,7 +1,4 @@
-"""When each picture was taken, and which belong together.
-
-A time stamp is believed if the order of writing, its times and the other stream agree.
-"""
+"""When each picture was taken, by stamps that the order of writing confirms, and its partner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,18 +13,15 @@ from clothtrack_capture.importing.source import StreamFrame, Streams
 
 LARGEST_TOLERANCE_S = 1.0
 _LONE_TOLERANCE_NS = 20e6
+# Difference of two streams' delays of writing: of two clocks; worth a word; from start to end.
 _TWO_CLOCKS_NS, _LATE_NS, _DRIFT_NS = 5e8, 2.5e8, 1e8
-"""Difference of two streams, each stamp against its time of writing: of two clocks; worth a word;
-from the first to the last pictures."""
+# A step is a jump beyond this many median steps, and beyond this time.
 _JUMP_STEPS, _LEAST_JUMP_NS = 100, 1e9
-"""A step is a jump beyond this many median steps, and beyond this time."""
-_FASTEST_NS, _SLOWEST_NS = 1e6, 5e9
-"""Usual steps beyond these are not those of a camera."""
-_SEVERAL_CLOCKS = ("/tf",)
-"""Topics that several programs write, each in its own order."""
+_FASTEST_NS, _SLOWEST_NS = 1e6, 5e9  # usual steps of a camera lie between
+_SEVERAL_CLOCKS = ("/tf",)  # several programs write it, each in its own order
+# Pictures per median step between a stamp that falls behind and the latest one, if messages were
+# only written in another order; a clock that was set back fills that time twice, or not at all.
 _SAME_DENSITY = (0.5, 1.5)
-"""Pictures per median step between a stamp that falls behind and the latest one, if messages were
-only written in another order; a clock that was set back fills that time twice, or not at all."""
 
 
 def timed(
@@ -38,6 +32,8 @@ def timed(
     result = {"depth": list(streams.depth)}
     if streams.color is not None:
         result["color"] = list(streams.color)
+    elif options.color_offset_s is not None:
+        raise InvalidConfigError("--color-offset-s: there is no color; leave it out")
     if options.stamps == "written":
         result = {name: _written(source, frames) for name, frames in result.items()}
     else:
@@ -50,10 +46,7 @@ def timed(
                 _check_order(source, name, frames)
         for name, frames in others.items():
             notes += _clocks(source, result["depth"], name, frames)
-    if options.color_offset_s is not None and "color" not in result:
-        raise InvalidConfigError("--color-offset-s: there is no color; leave it out")
-    shift_ns = round((options.color_offset_s or 0.0) * 1e9)
-    if shift_ns:
+    if shift_ns := round((options.color_offset_s or 0.0) * 1e9):
         result["color"] = [replace(one, time_ns=one.time_ns + shift_ns) for one in result["color"]]
     told: list[tuple[int, int]] = []
     for name, frames in result.items():
@@ -71,7 +64,7 @@ def _written(source: Path, frames: Sequence[StreamFrame]) -> list[StreamFrame]:
 
 def _filled(name: str, frames: list[StreamFrame], notes: list[str]) -> list[StreamFrame]:
     """Return the pictures, those without a stamp placed by their times of writing."""
-    missing = [number for number, frame in enumerate(frames) if not frame.stamped]
+    missing = [k for k, frame in enumerate(frames) if not frame.stamped]
     if not missing or len(missing) == len(frames):
         return frames
     if missing == [0] and frames[1].time_ns < _LEAST_JUMP_NS:
@@ -81,10 +74,7 @@ def _filled(name: str, frames: list[StreamFrame], notes: list[str]) -> list[Stre
         f"{len(missing)} pictures of {name} have no time stamp (the first is number {missing[0]}, "
         f"the last {missing[-1]}); their times of writing stand for them"
     )
-    return [
-        frame if frame.stamped else replace(frame, time_ns=frame.time_ns - late_ns)
-        for frame in frames
-    ]
+    return [one if one.stamped else replace(one, time_ns=one.time_ns - late_ns) for one in frames]
 
 
 def _late_ns(frames: Sequence[StreamFrame]) -> int | None:
@@ -98,19 +88,17 @@ def _check_order(source: Path, name: str, frames: Sequence[StreamFrame]) -> None
     frames = list({(frame.time_ns, frame.written_ns or k): frame
                    for k, frame in enumerate(frames)}.values())  # fmt: skip
     times = _times(frames)
-    ahead = np.diff(times)
-    ahead = ahead[ahead > 0]
-    if not len(ahead):
+    steps = np.diff(times, prepend=times[:1])
+    if not (steps > 0).any():
         return
-    step, ranked, latest = float(np.median(ahead)), np.sort(times), np.maximum.accumulate(times)
+    step, ranked = float(np.median(steps[steps > 0])), np.sort(times)
+    latest, (low, high) = np.maximum.accumulate(times), _SAME_DENSITY
     within = np.searchsorted(ranked, latest, side="right") - np.searchsorted(ranked, times)
     density = within / ((latest - times) / step + 1)
-    falls = np.concatenate([[False], np.diff(times) < 0]) & (latest - times > 1.5 * step)
-    low, high = _SAME_DENSITY
+    falls = (steps < 0) & (latest - times > 1.5 * step)
     wrong = np.flatnonzero(falls & ((density < low) | (density > high)))
     if len(wrong):
-        here = int(wrong[0])
-        before = int(np.argmax(times[:here]))
+        here, before = int(wrong[0]), int(np.argmax(times[: wrong[0]]))
         remedy = "cut the source there and import the parts"
         if _is_usable(frames):
             remedy = "give --stamps written for the times of writing, which run on"
@@ -123,10 +111,8 @@ def _check_order(source: Path, name: str, frames: Sequence[StreamFrame]) -> None
 
 def _is_usable(frames: Sequence[StreamFrame]) -> bool:
     """Return whether the times of writing are known and advance."""
-    if any(frame.written_ns is None for frame in frames):
-        return False
-    written = np.array([frame.written_ns for frame in frames])
-    return len(np.unique(written)) > 0.9 * len(written)
+    written = {frame.written_ns for frame in frames}
+    return None not in written and len(written) > 0.9 * len(frames)
 
 
 def _clocks(
@@ -134,7 +120,7 @@ def _clocks(
 ) -> list[str]:
     """Return remarks on another stream's clock, by the times of writing; refuse a second clock."""
     late, other = _late_ns(depth), _late_ns(frames)
-    if late is None or other is None or not any(frame.stamped for frame in depth):
+    if late is None or other is None:
         return []
     apart = other - late
     color = f"--color-offset-s {apart / 1e9:.3f}" if name == "color" else ""
@@ -146,12 +132,11 @@ def _clocks(
             f"{source}: depth and {name} are stamped by two clocks: by the times of writing, that "
             f"of {name} is {words}; {remedy}"
         )
-    fifth = len(depth) // 5, len(frames) // 5
-    pairs = list(zip((depth, frames), fifth, strict=True))
-    starts = [_late_ns(stream[:count]) for stream, count in pairs]
-    ends = [_late_ns(stream[-count:]) for stream, count in pairs]
-    if min(fifth) > 1 and None not in (*starts, *ends):
-        drift = (ends[1] or 0) - (ends[0] or 0) - (starts[1] or 0) + (starts[0] or 0)
+    fifths = [(one, len(one) // 5) for one in (depth, frames)]
+    parts = [part for one, count in fifths for part in (one[:count], one[-count:])]
+    ends = [delay for part in parts if (delay := _late_ns(part)) is not None]
+    if min(count for _, count in fifths) > 1 and len(ends) == len(parts):
+        drift = ends[3] - ends[2] - (ends[1] - ends[0])
         if abs(drift) > _DRIFT_NS:
             return [f"the clock of {name} drifts by {drift / 1e9:.3f} s against that of depth; "
                     "give --stamps written"]  # fmt: skip
@@ -162,46 +147,33 @@ def _clocks(
 
 
 def _jumps(
-    name: str,
-    frames: Sequence[StreamFrame],
-    told: list[tuple[int, int]],
-    options: ImportOptions,
+    name: str, frames: Sequence[StreamFrame], told: list[tuple[int, int]], options: ImportOptions
 ) -> list[str]:
     """Return a remark on each jump of the times; `told` has those of the streams before."""
     if len(frames) < 3:
         return []
     order = sorted(range(len(frames)), key=lambda number: frames[number].time_ns)
     times = _times(frames)[order]
-    steps = np.diff(times)
+    steps, notes = np.diff(times), list[str]()
+    written = np.diff([frames[number].written_ns or 0 for number in order])
     usual = float(np.median(steps[steps > 0])) if steps.any() else 1.0
-    notes = []
     if steps.any() and not _SLOWEST_NS > usual > _FASTEST_NS:
-        notes.append(
-            f"{1e9 / usual:.3g} pictures of {name} per second: check the unit of their times"
-        )
+        rate = f"{1e9 / usual:.3g} pictures of {name} per second"
+        notes.append(f"{rate}: check the unit of their times")
     jumps = steps > max(_JUMP_STEPS * usual, _LEAST_JUMP_NS)
-    if options.stamps == "header" and _is_usable(frames):
-        written = np.diff([frames[number].written_ns or 0 for number in order])
+    if usable := options.stamps == "header" and _is_usable(frames):
         jumps |= (steps > 3 * usual) & (np.abs(steps - written) > _LATE_NS)
     for k in np.flatnonzero(jumps).tolist():
-        span = (int(times[k]), int(times[k + 1]))
-        if any(span[0] < stop and start < span[1] for start, stop in told):
+        start, stop = int(times[k]), int(times[k + 1])
+        if any(start < end and begin < stop for begin, end in told):
             continue
-        told.append(span)
-        first, second = frames[order[k]], frames[order[k + 1]]
-        remedy = (
-            "if a clock was set meanwhile, cut the source there; if nothing moved meanwhile, leave "
-            "it (`track` simulates at most 2 s of a pause)"
-        )
-        if options.stamps == "header" and second.written_ns is not None:
-            apart_ns = second.written_ns - (first.written_ns or 0)
-            if apart_ns < steps[k] / 2 and _is_usable(frames):
-                remedy = (
-                    f"a clock was set: they were written {apart_ns / 1e9:.3f} s apart; give "
-                    "--stamps written"
-                )
+        told.append((start, stop))
+        remedy = "cut the source there if a clock was set; a pause may stay (`track` simulates 2 s)"
+        if usable and written[k] < steps[k] / 2:
+            apart = f"{written[k] / 1e9:.3f} s apart"
+            remedy = f"a clock was set: they were written {apart}; give --stamps written"
         notes.append(
-            f"the times of {name} jump from {span[0] / 1e9:.3f} to {span[1] / 1e9:.3f} s, by "
+            f"the times of {name} jump from {start / 1e9:.3f} to {stop / 1e9:.3f} s, by "
             f"{steps[k] / 1e9:.1f} s between pictures {order[k]} and {order[k + 1]} (usual: "
             f"{usual / 1e9:.3f} s); {remedy}"
         )
@@ -239,35 +211,22 @@ def pair(
     color: Sequence[StreamFrame] | None,
     options: ImportOptions,
 ) -> Pairing:
-    """Pair depth and color by time: each the other's nearest, within the tolerance.
-
-    Args:
-        path: path of the source, for error messages.
-        depth: depth pictures in any order.
-        color: color pictures in any order, or None if there is no color stream.
-        options: options with the largest time difference [s]; half the time between depth
-            pictures by default.
-    """
+    """Pair depth and color by time: each the other's nearest, within the tolerance."""
     if not depth:
-        raise InvalidRecordingError(
-            f"{path}: not one whole depth picture; record it again, or name others"
-        )
+        raise InvalidRecordingError(f"{path}: not one whole depth picture; record it again")
     ordered = sorted(depth, key=lambda frame: frame.time_ns)
-    single = [
-        frame for k, frame in enumerate(ordered) if not k or frame.time_ns > ordered[k - 1].time_ns
-    ]
-    doubles = len(ordered) - len(single)
-    times = np.array([frame.time_ns for frame in single])
-    tolerance = _tolerance_ns(times, options.tolerance_s)
+    single = [one for k, one in enumerate(ordered) if not k or one.time_ns > ordered[k - 1].time_ns]
+    doubles, times = len(ordered) - len(single), _times(single)
+    tolerance = float(np.median(np.diff(times))) / 2 if len(times) > 1 else _LONE_TOLERANCE_NS
+    if options.tolerance_s is not None:
+        tolerance = options.tolerance_s * 1e9
     if color is None:
         pairs = tuple(Pair(frame, None) for frame in single)
         return Pairing(pairs, tolerance / 1e9, 0, 0, doubles, 0.0)
     if not color:
-        raise InvalidRecordingError(
-            f"{path}: not one whole color picture; give --without-color to import depth alone"
-        )
+        raise InvalidRecordingError(f"{path}: not one whole color picture; give --without-color")
     others = sorted(color, key=lambda frame: frame.time_ns)
-    other_times = np.array([frame.time_ns for frame in others])
+    other_times = _times(others)
     mine, yours = _nearest(times, other_times), _nearest(other_times, times)
     apart = np.abs(times - other_times[mine])
     mutual = yours[mine] == np.arange(len(times))
@@ -281,15 +240,9 @@ def pair(
             f"{path}: no color picture within {tolerance / 1e6:.1f} ms of a depth picture; the "
             f"nearest is {apart.min() / 1e6:.1f} ms away; give {advice}, or --without-color"
         )
-    return Pairing(
-        tuple(Pair(single[k], others[mine[k]]) for k in chosen.tolist()),
-        tolerance / 1e9,
-        len(single) - len(chosen),
-        len(others) - len(chosen),
-        doubles,
-        float(apart[chosen].max()) / 1e9,
-        advice,
-    )
+    pairs = tuple(Pair(single[k], others[mine[k]]) for k in chosen.tolist())
+    alone, worst_s = (len(single) - len(pairs), len(others) - len(pairs)), apart[chosen].max() / 1e9
+    return Pairing(pairs, tolerance / 1e9, *alone, doubles, float(worst_s), advice)
 
 
 def _advice(apart: np.ndarray) -> str:
@@ -300,17 +253,8 @@ def _advice(apart: np.ndarray) -> str:
     if tolerance_ms > 1e3 * LARGEST_TOLERANCE_S:
         return ""
     count = int((apart <= tolerance_ms * 1e6).sum())
-    frames = "1 frame" if count == 1 else f"{count} frames"
-    return (
-        f"--tolerance-s {tolerance_ms / 1e3:.3f} for {frames} more, if nothing moves much in "
-        f"{tolerance_ms:.0f} ms"
-    )
-
-
-def _tolerance_ns(times: np.ndarray, asked_s: float | None) -> float:
-    if asked_s is not None:
-        return asked_s * 1e9
-    return float(np.median(np.diff(times))) / 2 if len(times) > 1 else _LONE_TOLERANCE_NS
+    more = f"{count} frame{'s' * (count > 1)} more, if nothing moves much in {tolerance_ms:.0f} ms"
+    return f"--tolerance-s {tolerance_ms / 1e3:.3f} for {more}"
 
 
 def _nearest(times: np.ndarray, others: np.ndarray) -> np.ndarray:

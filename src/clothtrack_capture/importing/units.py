@@ -16,10 +16,8 @@ _FLOAT_STORED_M = 1e-4
 _USUAL_M = (1e-3, 1.0, 1e-4, 2.5e-4, 2e-4, 1e-2)
 _FARTHEST_FINE_M = 6.0
 _SAMPLES, _MOST_CHANGE = 8, 5.0
-# Some cameras write this where they measured nothing.
-_NOTHING = 65535
-# Neighbors that agree this many times better with exchanged bytes tell a wrong byte order.
-_SMOOTHER = 8.0
+_NOTHING = 65535  # some cameras write this where they measured nothing
+_SMOOTHER = 8.0  # with exchanged bytes, neighbors agree this many times better: a wrong byte order
 
 
 @dataclass(frozen=True)
@@ -64,31 +62,23 @@ class DepthUnit:
 def measured_unit(
     source: Path, unit: DepthUnit | None, pictures: Sequence[Callable[[], np.ndarray]], ask: str
 ) -> DepthUnit:
-    """Return the unit with what some pictures say of it.
-
-    Args:
-        source: path of the source, for messages.
-        unit: the unit as the source or the user tells it; None if nobody does.
-        pictures: functions that decode the depth pictures, in order.
-        ask: message where nobody tells the unit.
-    """
+    """Return the unit that was told, if any, with what some pictures say; else refuse by `ask`."""
+    told_m = unit and unit.unit_m
     places = np.unique(np.linspace(0, len(pictures) - 1, _SAMPLES).round()).astype(int).tolist()
     read = {place: sample for place in places if (sample := _sample(pictures[place])) is not None}
     is_float = any(sample.dtype.kind == "f" for sample in list(read.values())[:1])
     read = {place: one for place, one in read.items() if (one.dtype.kind == "f") == is_float}
-    swapped = bool(read) and _looks_swapped(
-        list(read.values())[:3], 1.0 if unit is None else unit.unit_m
-    )
+    swapped = bool(read) and _looks_swapped(list(read.values())[:3], told_m or 1.0)
     if swapped:
         read = {place: sample.byteswap() for place, sample in read.items()}
     medians = {place: median for place, sample in read.items()
-               if (median := _median([sample], unit and unit.unit_m)) is not None}  # fmt: skip
+               if (median := _median([sample], told_m)) is not None}  # fmt: skip
     if not medians:
         if unit is None:
             raise InvalidRecordingError(f"{source}: {ask}")
         return replace(unit, is_float=is_float, swapped=swapped)
     median = float(np.median(list(medians.values())))
-    likely = _likely_m(median, unit and unit.unit_m)
+    likely = next((one for one in _USUAL_M if one != told_m and _is_plausible(median * one)), None)
     shown = f"the median depth of the pictures is {median:g} units"
     if unit is None:
         hint = "" if likely is None else f"; {shown}, {median * likely:.3f} m with {likely:g}"
@@ -99,8 +89,7 @@ def measured_unit(
             remedy = f"give --depth-unit-m {likely:g}, which makes it {median * likely:.3f} m"
         raise InvalidRecordingError(
             f"{source}: {shown}, {median * unit.unit_m:.3g} m with a unit of {unit.unit_m:g} m "
-            f"({unit.origin}); plausible is {NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m; "
-            f"{remedy}"
+            f"({unit.origin}), not {NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m; {remedy}"
         )
     for (here, before), (there, after) in pairwise(medians.items()):
         if not 1 / _MOST_CHANGE < after / before < _MOST_CHANGE:
@@ -136,11 +125,8 @@ def _looks_swapped(samples: list[np.ndarray], unit_m: float) -> bool:
     swapped = [sample.byteswap() for sample in samples]
     if samples[0].dtype.kind == "f":
         here, there = _median(samples), _median(swapped)
-        return (
-            there is not None
-            and _is_plausible(there * unit_m)
-            and (here is None or not 1e-3 < here < 1e6)
-        )
+        odd = here is None or not 1e-3 < here < 1e6
+        return there is not None and _is_plausible(there * unit_m) and odd
     return _roughness(swapped) * _SMOOTHER < _roughness(samples)
 
 
@@ -157,9 +143,3 @@ def _roughness(samples: list[np.ndarray]) -> float:
 
 def _is_plausible(median_m: float) -> bool:
     return NEAREST_MEDIAN_M <= median_m <= FARTHEST_MEDIAN_M
-
-
-def _likely_m(median: float, given_m: float | None) -> float | None:
-    return next(
-        (unit for unit in _USUAL_M if unit != given_m and _is_plausible(median * unit)), None
-    )
