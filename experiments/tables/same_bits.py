@@ -256,7 +256,8 @@ def finetuned(paths: list[Path], folder: Path, steps: int) -> Result:
     training = ct.finetune(shipped, labels, output=folder, settings=settings)
     assert training is not None
     tensors = load_weights(training.outcome.model).tensors
-    return {name: tensor.float().numpy() for name, tensor in sorted(tensors.items())}
+    flat = [tensor.float().numpy().ravel() for _, tensor in sorted(tensors.items())]
+    return {"weights": np.concatenate(flat)}
 
 
 if __name__ == "__main__":
