@@ -6,7 +6,7 @@
 #   make test      install the test tools too, run the tests
 #   make pages     open every page in a headless Chromium, where there is one
 #   make proofs    every experiment in its small form, learning, runs that are killed
-#   make mutations break the source in 60 places; the tests must notice each
+#   make mutations break the source in some 90 places; the tests must notice each
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports, size (budget.toml)
