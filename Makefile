@@ -6,9 +6,10 @@
 #   make test      install the test tools too, run the tests
 #   make pages     open every page in a headless Chromium, where there is one
 #   make proofs    every experiment in its small form, learning, runs that are killed
+#   make mutations break the source in some 90 places; the tests must notice each
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
-#   make check     lint, format, types, direction of imports
+#   make check     lint, format, types, direction of imports, size (budget.toml)
 #   make docs      the documentation as a site with the demo's page, to out/site
 #   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/speed.md)
 #
@@ -38,10 +39,10 @@ PROOFS := tests/experiments tests/reconstruction tests/planning tests/tracking \
   tests/published_networks tests/verification/test_cuda_compiles.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install learn demo test test-all pages proofs wheel release check docs format bench clean
+.PHONY: help install learn demo test test-all pages proofs mutations wheel release check docs format bench clean
 
 help:
-	@sed -n '3,16s/^# \{0,1\}//p' Makefile
+	@sed -n '3,17s/^# \{0,1\}//p' Makefile
 
 install: $(VENV)/.installed $(EXTRAS:%=$(VENV)/.installed-%)
 
@@ -82,6 +83,9 @@ pages: $(VENV)/.installed-dev
 proofs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" $(PROOFS)
 
+mutations: $(VENV)/.installed-dev
+	$(BIN)/python tests/mutations/run.py
+
 wheel: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow tests/end_to_end/test_wheel.py
 
@@ -93,6 +97,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/python tests/house_rules/budget.py
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/python docs/make_api.py

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from clothtrack.alignment.cloud_distance import beside, within_reach
+from clothtrack.alignment.cloud_distance import beside, masked_chamfer, within_reach
+from clothtrack.recordings import Observation
 
 
 @pytest.mark.parametrize("reach_m", [0.03, 0.05, 0.2])
@@ -33,3 +34,17 @@ def test_what_is_beside_vertices_holds_all_points_within_reach(spread_m):
     assert all(tuple(point) in places for point in points[distance <= 0.05])
     assert spread_m > 1.0 or len(kept) < len(points) - 500
     assert not len(beside(points, vertices[:0], 0.05))
+
+
+def test_what_could_not_be_seen_has_no_distance_to_the_cloud(camera):
+    vertices = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])
+    seen = np.ones(2, dtype=bool)
+
+    def chamfer(clearance_m):
+        tool = vertices[1:]
+        cloud = Observation(vertices[:1], (camera,), {}, None, tool, clearance_m)
+        return masked_chamfer(vertices, seen, cloud)
+
+    assert chamfer(0.0) == pytest.approx(0.5 * 0.05**2)
+    assert chamfer(0.02) == 0.0
+    assert chamfer(0.1) == 0.0

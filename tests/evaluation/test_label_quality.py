@@ -38,6 +38,12 @@ def test_a_planted_relation_is_found_again():
         assert found.weights[name] == pytest.approx(PLANTED.weights.get(name, 0.0), abs=1e-6)
 
 
+def test_evidence_at_its_scale_doubles_the_error_once_per_weight():
+    (one,) = some_evidence(1)
+    at_scale = replace(one, silhouette_gap=0.005, cloud_gap_m=5e-4, action=1)
+    assert PLANTED.expected_error_m(at_scale) == pytest.approx(0.001 * 2 ** (0.5 + 0.8 + 0.3))
+
+
 def test_evidence_that_speaks_for_an_error_never_speaks_against_it():
     evidence = some_evidence(200)
     errors = np.array([0.005 / (1.0 + 100.0 * one.silhouette_gap) for one in evidence])

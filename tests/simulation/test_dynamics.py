@@ -63,6 +63,16 @@ def test_a_soft_pseudo_action_leaves_the_velocity_of_the_whole_roll_out(dynamics
     np.testing.assert_allclose(result.state.velocities[0], moved / 0.1, atol=1e-5)
 
 
+@pytest.mark.parametrize("duration_s", [0.05, 0.2])
+def test_a_soft_pull_closes_its_share_in_any_number_of_steps(duration_s):
+    settings = SolverConfig(gravity=(0.0, 0.0, 0.0), damping=0.0)
+    dynamics = ClothDynamics(ClothSolver(MESH, settings))
+    pull = attachment(MESH.vertices + 0.01 * UP, 0.8)
+    result = dynamics.roll_out(dynamics.solver.save(), None, duration_s, pull)
+    moved = result.positions[0] - MESH.vertices
+    np.testing.assert_allclose(moved[:, 2], 0.008, rtol=0.02)
+
+
 def test_the_picker_goes_before_the_pseudo_action(dynamics):
     corner = MESH.vertices[0]
     way = np.stack([corner, corner + 0.01 * UP])[:, None]

@@ -5,7 +5,8 @@ import pytest
 
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.tracking.picking import layers_under
+from clothtrack.recordings.recording import PickerPath
+from clothtrack.tracking.picking import Grasp, layers_under
 
 GAP_M = 0.004
 
@@ -42,3 +43,10 @@ def test_what_is_out_of_reach_is_not_held(folded):
 def test_one_layer_is_one_vertex(folded):
     flat = towel(0.2, 0.1, 0.01)
     assert len(layers_under(flat, np.array([0.02, 0.01, 0.0]), 0.03)) == 1
+
+
+def test_held_vertices_keep_their_offset_from_the_tip():
+    path = PickerPath(np.array([0.0, 1.0]), np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.full(2, True))
+    grasp = Grasp("arm", path, np.array([3]), np.array([[0.0, 0.002, -0.01]]))
+    points = grasp.waypoints(0.0, 1.0, np.array([0.0, 0.0, 0.001]))
+    assert np.allclose(points[[0, -1], 0], [[0.0, 0.002, -0.009], [0.1, 0.002, -0.009]])

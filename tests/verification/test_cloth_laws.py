@@ -175,6 +175,21 @@ def test_a_layer_pushed_through_another_returns_to_its_side():
     assert np.abs(solver.positions[0, :, :2] - targets[0, :, :2]).max() < 0.01
 
 
+def test_a_crossed_layer_is_pushed_back_no_faster_than_it_may_be():
+    mesh, limp = two_layers(), ClothParameters(1e6, 1e6, 0.0, 0.0)
+    config = SolverConfig(gravity=(0.0, 0.0, 0.0), edge_contact=False)
+    solver = ClothSolver(mesh, config, parameters=limp)
+    solver.step(0.01)
+    middle = mesh.vertex_count // 2
+    middle += int(np.argmin(np.linalg.norm(mesh.vertices[middle:, :2], axis=1)))
+    crossed = solver.positions[0]
+    crossed[middle, 2] -= 0.005
+    solver.place(crossed)
+    solver.step(config.substep_s)
+    back = solver.positions[0, middle, 2] - crossed[middle, 2]
+    assert 1e-5 < back <= config.push_out_speed * config.substep_s
+
+
 @pytest.mark.parametrize("substep_s", [4e-3, 1e-3, 2.5e-4])
 def test_a_cloth_attached_softly_to_itself_loses_energy_and_does_not_sag(substep_s):
     mesh = sheet(0.08)
@@ -222,7 +237,7 @@ def test_a_restored_state_replays_bit_for_bit():
     held = HeldMotion(np.array([mesh.vertex_count // 2]), _lift(mesh))
     dynamics = ClothDynamics(solver)
     middle = dynamics.roll_out(solver.save(), held, 0.1).state
-    first = dynamics.roll_out(middle, None, 0.1)
+    first = dynamics.roll_out(None, None, 0.1)  # goes on without a restore
     solver.step(0.05)
     again = dynamics.roll_out(middle, None, 0.1)
     other = ClothDynamics(ClothSolver(mesh, solver.config)).roll_out(middle, None, 0.1)
@@ -272,6 +287,14 @@ def test_violent_displacement_shows_in_the_highest_speed():
     assert speeds[0] < 1e-3
     assert speeds[1] > 0.5
     assert speeds[2] > speeds[1]
+
+
+def test_what_is_too_fast_goes_on_at_the_limit():
+    config = SolverConfig(speed_limit=2.0, gravity=(0.0, 0.0, 0.0), damping=0.0)
+    solver = ClothSolver(sheet(0.05, 1.0), config)
+    solver.set_velocities(np.full(solver.velocities.shape, 5.0))
+    assert solver.step(0.005).max() > 8.0
+    np.testing.assert_allclose(np.linalg.norm(solver.velocities, axis=-1), 2.0, rtol=1e-3)
 
 
 def test_numbers_that_are_none_show_as_infinite_speed():
