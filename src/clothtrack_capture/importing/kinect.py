@@ -56,7 +56,6 @@ _MODES = {
 _LEGACY = ((4096, 2304), (0, -384), (4096, 3072))
 _DEPTH_PLACE, _COLOR_PLACE = "CALIBRATION_CameraLocationD0", "CALIBRATION_CameraLocationPV0"
 _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
-_UNUSABLE = KeyError, TypeError, ValueError, AttributeError, RecursionError, ClothTrackError
 
 
 def is_kinect(path: Path) -> bool:
@@ -232,7 +231,9 @@ def kinect_intrinsics(
         # Each pose leads from the device to the camera.
         poses = (by_place[place]["Rt"] for place in (_DEPTH_PLACE, _COLOR_PLACE))
         depth_pose, color_pose = (rigid(pose["Rotation"], pose["Translation"]) for pose in poses)
-    except _UNUSABLE as error:
+    except (
+        KeyError, TypeError, ValueError, AttributeError, RecursionError, ClothTrackError
+    ) as error:  # fmt: skip
         raise InvalidRecordingError(
             f"{path}: the attached calibration cannot be used ({type(error).__name__}: {error}); "
             "give the intrinsics with --intrinsics FILE"
