@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings import RecordingWriter, Table, read_recording
-from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings import RecordingWriter, Table, read_recording, shipped_recording
 
 
 def document(folder, change):
