@@ -837,6 +837,31 @@ def test_masks_that_are_numbered_from_one_belong_to_their_moments(run, out, tmp_
     assert [int((mask > 0).any(1).sum()) for mask in masks] == [1, 2, 3, 4, 5, 6]
 
 
+def test_masks_with_the_names_of_color_pictures_that_were_taken_later(run, out, tmp_path):
+    film = film_of()
+    source = write_folder(tmp_path / "film", film, "tum")
+    for file in sorted((source / "rgb").iterdir()):
+        file.rename(file.with_name(f"c{file.name}"))
+    lines = (source / "rgb.txt").read_text().replace("rgb/", "rgb/c").splitlines()
+    lines = [re.sub(r"^(\d+\.\d)\d", r"\g<1>1", line) for line in lines]
+    (source / "rgb.txt").write_text("\n".join(lines))
+    shutil.copytree(source / "rgb", source / "mask")
+    words = ["--intrinsics", lens_file(tmp_path / "lens.json", film), "--depth-unit-m", "0.001"]
+    code, told = run(source, *words, "--tolerance-s", "0.1")
+    assert code == 0
+    frames = len(moments(out))
+    assert len(list((out / "mask").iterdir())) == frames
+    assert (f"{6 - frames} masks belong to no frame" in told) == (frames < 6)
+
+
+def test_depth_that_is_empty_everywhere_is_called_so(run, tmp_path):
+    film = film_of()
+    film.depth[:] = 0
+    code, told = run(write_ros2(tmp_path / "bag", stream(film, ROS2), ROS2))
+    assert code == 1
+    assert "all 6 depth pictures are 0 everywhere" in told
+
+
 def test_a_cut_out_of_the_sensor_moves_the_center(run, out, tmp_path):
     film = film_of()
     entries = []

@@ -113,7 +113,13 @@ def _convert(
     pairing = pair(source, frames["depth"], frames.get("color"), options)
     decoded = [partial(_numbers, opened, one.depth) for one in pairing.pairs]
     unit = measured_unit(source, streams.unit, decoded, streams.ask_unit)
-    if empty := next((k for k, one in enumerate(decoded) if _shows(one)), 0):
+    empty = next((k for k, one in enumerate(decoded) if _shows(one)), len(decoded))
+    if empty == len(decoded):
+        raise InvalidRecordingError(
+            f"{source}: all {empty} depth pictures are 0 everywhere: nothing was measured; record "
+            "it again, or name others"
+        )
+    if empty:
         notes.append(f"the first {empty} depth pictures are 0 everywhere and were left out")
         pairing = replace(pairing, pairs=pairing.pairs[empty:])
     span_ns = pairing.pairs[0].depth.time_ns, pairing.pairs[-1].depth.time_ns
@@ -144,6 +150,8 @@ def _convert(
                 + _lens_remedy(reason, streams, options)
             )
         actions, more = add_pickers(writer, paths, times, options.actions)
+    if unmatched := len(streams.mask) - job.masks:
+        notes.append(f"{unmatched} masks belong to no frame that was written")
     return Imported(
         streams, pairing, registration, unit, times, damaged, job.masks, paths, actions,
         [*notes, *text, *more], posed, table is not None,
@@ -253,7 +261,8 @@ class _Job:
         self, pool: ThreadPoolExecutor, moment: Pair
     ) -> "Future[dict[str, bytes]] | TruncatedError":
         """Read the bytes here, in file order, and do the rest in the pool."""
-        mask = self._masks.get(moment.depth.time_ns)
+        both = filter(None, (moment.depth, moment.color))
+        mask = next((self._masks[one.time_ns] for one in both if one.time_ns in self._masks), None)
         self.masks += mask is not None
         frames = {"depth": moment.depth, "color": moment.color, "mask": mask}
         try:
