@@ -227,7 +227,7 @@ def test_a_day_without_a_frame_is_not_simulated(tmp_path, capsys):
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     for word in ("/held: ", "'gripper'", "86400.1 s", "frames 7 and 8 of action 1", "at most 10",
-                 "subtract 86400 from", "beyond frame 7"):  # fmt: skip
+                 "subtract 86400 from", "leave the action out"):  # fmt: skip
         assert word in told
     # The advice: subtract what is said.
     set_forward(tmp_path / "held", tmp_path / "right", 8, -86400.0)

@@ -251,6 +251,15 @@ def test_siblings_of_names(depth, color, run, out, tmp_path):
     assert "names of depth and color differ" in told
 
 
+def test_two_series_of_names_are_refused(run, tmp_path):
+    source, _ = renamed(tmp_path, lambda k: f"d{k:04d}", lambda k: f"c{k:04d}", frames=12)
+    for kind in ("depth", "color"):
+        shutil.copy(next((source / kind).iterdir()), source / kind / "take2_0001.png")
+    code, told = run(source)
+    assert code == 1
+    assert "1 agree of 13 depth and 13 color" in told
+
+
 def test_names_that_do_not_match_in_number_are_asked_for(run, tmp_path):
     source, _ = renamed(tmp_path, lambda k: f"d{k}x", lambda k: "abcdef"[k])
     (source / "color" / "a.png").unlink()
@@ -586,6 +595,9 @@ LENSES = {
                               "cy": 23.5}, "serial": "1"},
     "RealSense": {"width": 64, "height": 48, "fx": 60, "fy": 60, "ppx": 31.5, "ppy": 23.5,
                   "coeffs": [0, 0, 0, 0, 0]},
+    "RealSense, with its model": {"color": {
+        "width": 64, "height": 48, "fx": 60, "fy": 60, "ppx": 31.5, "ppy": 23.5,
+        "model": "distortion.inverse_brown_conrady", "coeffs": [0.0] * 5}},
     "ROS": {"image_width": 64, "image_height": 48, "distortion_model": "plumb_bob",
             "camera_matrix": {"rows": 3, "cols": 3, "data": LENS}},
 }  # fmt: skip
@@ -600,6 +612,19 @@ def test_lenses_of_other_programs(kind, run, out, tmp_path):
     assert code == 0, told
     camera = json.loads((out / "recording.json").read_text())["cameras"][0]
     assert [camera[name] for name in ("fx", "fy", "cx", "cy")] == [60.0, 60.0, 31.5, 23.5]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"fy": None, "cy": None}, "fy, cy missing"),
+     ({"model": "inverse_brown_conrady", "coeffs": [0.1, 0, 0, 0, 0]}, "rectify")],
+)  # fmt: skip
+def test_a_lens_that_cannot_be_used_is_named(change, words, run, tmp_path):
+    source = write_folder(tmp_path / "film", film_of(), "bop")
+    lens = lens_file(tmp_path / "lens.json", film_of(), **change)
+    code, told = run(source, "--intrinsics", lens, "--fps", "30", "--depth-unit-m", "0.001")
+    assert code == 1
+    assert words in told
 
 
 def test_a_field_of_a_lens_file_that_is_not_used_is_named(run, tmp_path):

@@ -114,7 +114,7 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 def test_strides_do_not_matter(on_disk, layout, tmp_path):
-    short = replace(on_disk, frames=on_disk.frames[:5], actions=None)
+    short = replace(on_disk, frames=on_disk.frames[:5], actions=())
     mask = [np.arange(240)[:, None] + np.zeros((1, 320)) > 100 for _ in short.frames]
     plain = in_memory(short, mask=mask)
     pictures = {

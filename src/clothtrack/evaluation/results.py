@@ -25,7 +25,7 @@ from clothtrack.evaluation.metrics import (
 )
 from clothtrack.evaluation.naming import Where, true_places
 from clothtrack.evaluation.truth import Truth, material_points
-from clothtrack.evaluation.verdict import LIMITS, Verdict, verdict_of
+from clothtrack.evaluation.verdict import LIMITS, NO_ACTION, Verdict, verdict_of
 from clothtrack.files.settings import from_plain as from_stored
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
@@ -319,6 +319,8 @@ def summary(evaluations: Iterable[Evaluation]) -> str:
     for evaluation in evaluations:
         actions = (one.action for one in evaluation.labels)
         judged = dict(zip(actions, evaluation.verdicts, strict=True))
+        if not evaluation.rows:
+            reasons.append(f"{evaluation.name}: look: {NO_ACTION}")
         for row in evaluation.rows:
             if row.stage != "after_final_alignment":
                 continue

@@ -109,6 +109,9 @@ class Evidence:
     action: int | None = None
 
 
+NO_ACTION = "no action, so that no mesh was judged"
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Verdict on a label or a trajectory.
@@ -194,8 +197,7 @@ def trajectory_verdict(
     for label in labels:
         evidence += evidence_of(label)
     if not labels:
-        reason = "no action, so that no mesh was judged"
-        return Verdict("look", reason, math.nan, tuple(evidence))
+        return Verdict("look", NO_ACTION, math.nan, tuple(evidence))
     expected = [1e-3 * label.expected_error_mm for label in labels]
     return _verdict(
         evidence, max(expected, key=_or_infinite), LIMITS["expected error"].look, len(labels)

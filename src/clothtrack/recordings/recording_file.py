@@ -133,7 +133,9 @@ def _where_to_look(folder: Path) -> str:
     inside = sorted(path.parent.name for path in folder.glob(f"*/{DOCUMENT}"))
     if inside:
         return f"{folder} holds recordings, it is none: give one of them, such as {inside[0]}"
-    return "check the name, or write one as docs/data_format.md shows"
+    remedy = "check the name, or write one as docs/data_format.md shows"
+    pictures = (folder / "depth").is_dir()
+    return remedy + f", or import the pictures: clothtrack import {folder} NEW" * pictures
 
 
 def _number(text: str) -> int | float:

@@ -257,7 +257,7 @@ def _refuse_held_gaps(recording: Recording) -> None:
                 f"{recording.folder}: stopped, picker {name!r} holds the cloth for "
                 f"{after - before:.6g} s without a frame between frames {frame} and {frame + 1} of "
                 f"action {number + 1} (at most {_LONGEST_HELD_GAP_S:g}): "
-                f"{gap_remedy(frame, after - before - float(np.median(np.diff(times))))}"
+                f"{gap_remedy(after - before - float(np.median(np.diff(times))), held=True)}"
             )
 
 

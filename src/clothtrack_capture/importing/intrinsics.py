@@ -33,7 +33,8 @@ _SPELLINGS = {  # other programs' names of the fields
     "matrix": ("intrinsic_matrix", "camera_matrix", "cam_K", "K", "k", "intrinsic", "intrinsics"),
 }  # fmt: skip
 _NESTED = ("intrinsics", "intrinsic", "camera", "camera_info", "color", "rgb")
-_BROWN, _FISHEYE = ("brown", "plumb_bob", "rational_polynomial"), ("fisheye", "equidistant")
+_BROWN = ("brown", "plumb_bob", "rational_polynomial", "brown_conrady", "modified_brown_conrady")
+_FISHEYE = ("fisheye", "equidistant", "kannala_brandt4")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 _KNOWN = {
     "fx", "fy", "fps", "depth_scale", "depth", "color", "color_from_depth", "serial",
@@ -245,10 +246,19 @@ def _intrinsics(place: str, content: Any) -> Intrinsics:
         content = content | ({name: known[0]} if known else {})
     content = content | _of_matrix(place, content.get("matrix"))
     names = ("width", "height", "fx", "fy", "cx", "cy")
+    if missing := [name for name in names if content.get(name) is None]:
+        there = ", ".join(sorted(map(str, content)))[:200]
+        raise InvalidRecordingError(f"{place}{', '.join(missing)} missing (there: {there}); add it")
     numbers = {name: _number(place, content, name) for name in names}
-    model, bent = content.get("model", "brown"), _distortion(place, content)
-    if model not in (*_BROWN, *_FISHEYE):
-        raise InvalidRecordingError(f'{place}model is {model!r}; write "brown" or "fisheye"')
+    model, bent = str(content.get("model", "brown")), _distortion(place, content)
+    name = model.lower().replace(" ", "_").rpartition(".")[2].removeprefix("rs2_distortion_")
+    # Without coefficients, only a fisheye's pictures are bent.
+    if any(bent) and name not in (*_BROWN, *_FISHEYE):
+        raise InvalidRecordingError(
+            f'{place}model is {model!r} with coefficients; known are "brown" and "fisheye": give '
+            "the coefficients of one of them, or rectify the pictures"
+        )
+    model = name
     try:
         return Intrinsics(**numbers, distortion=tuple(map(float, bent)), fisheye=model in _FISHEYE)
     except (InvalidRecordingError, OverflowError) as error:

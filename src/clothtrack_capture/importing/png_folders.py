@@ -227,11 +227,11 @@ class FolderSource:
         if not alike and len(depth) == len(color) and (not shared or _is_shifted(depth, color)):
             self._notes.append(f"{words}: the {len(depth)} of each were paired by position")
             return {"depth": depth, "color": depth}
-        if not shared:
+        if 2 * len(shared) < min(len(depth), len(color)):
             raise InvalidRecordingError(
-                f"{self._path}: {words}, {len(depth)} depth and {len(color)} color pictures, so "
-                "nothing tells which belong together; name those of one moment alike, or list the "
-                "pairs in associations.txt (seconds file seconds file)"
+                f"{self._path}: {words}: {len(shared)} agree of {len(depth)} depth and "
+                f"{len(color)} color pictures; are these several takes? name those of one moment "
+                "alike, or list the pairs in associations.txt (seconds file seconds file)"
             )
         if alike and stems[0] != stems[1]:
             self._notes.append(f"{words}: the pictures were paired by their numbers")

@@ -97,11 +97,13 @@ def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
     for frame, (before, after) in enumerate(pairwise(times.tolist())):
         step_s, field = after - before, f"frames[{frame + 1}]: time_s"
         if step_s > jump_s and "clock_jump" not in found:
+            held = bool(held_over(recording, frame))
+            remedy = gap_remedy(step_s - middle_s, held=held)
             found["clock_jump"] = Finding(
                 "clock_jump", step_s, jump_s, "s", field,
                 f"time_s steps by {step_s:.6g} s from frame {frame} to frame {frame + 1} (at most "
-                f"{jump_s:.3g}): {gap_remedy(frame, step_s - middle_s)}",
-                severity="doubt" if held_over(recording, frame) else "note",
+                f"{jump_s:.3g}): {remedy}",
+                severity="doubt" if held else "note",
             )  # fmt: skip
         if not gap_s < step_s <= jump_s or "frame_gap" in found:
             continue
@@ -117,11 +119,12 @@ def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
     return list(found.values())
 
 
-def gap_remedy(frame: int, extra_s: float) -> str:
-    """Return what to do about a step after a frame that is longer than usual by a time [s]."""
+def gap_remedy(extra_s: float, *, held: bool) -> str:
+    """Return what to do about a step that is longer than usual by a time [s]."""
+    paused = "leave the action out, for nothing shows what it did" if held else "leave it"
     return (
         f"if the clock was set, subtract {extra_s:.6g} from all later time_s of recording.json and "
-        f"picker.csv; if the camera paused, let no action last beyond frame {frame}"
+        f"picker.csv; if the camera paused, {paused}"
     )
 
 
