@@ -253,8 +253,10 @@ def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTraj
             assemble=ALL[variant.method or config.mode], device=device,
         )  # fmt: skip
         tracked = tracker.track()
-    stored = {"peer": asdict(variant.peer)} if variant.peer is not None else asdict(config)
-    return replace(tracked, config=stored, provenance=provenance(recording, config, device))
+    stamp = provenance(recording, config, device)
+    if variant.peer is not None:
+        stamp = {**stamp, "peer": asdict(variant.peer)}
+    return replace(tracked, config=asdict(config), provenance=stamp)
 
 
 def provenance_of(tracked: TrackedTrajectory, variant: Variant) -> dict[str, object]:
