@@ -11,12 +11,7 @@ from functools import cache
 
 
 def lazy_names(front: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return the `__getattr__` and `__dir__` of a package.
-
-    Args:
-        front: name of the package; its `__init__.py` has the imports under `if TYPE_CHECKING:` and
-            their names in `__all__`.
-    """
+    """Return the `__getattr__` and `__dir__` of a package."""
 
     def get(name: str) -> object:
         from importlib import import_module

@@ -63,12 +63,7 @@ class StorageError(ClothTrackError):
 
 
 def why_unreadable(error: OSError, remedy: str) -> str:
-    """Return why a file cannot be opened and what to do, as "problem; remedy".
-
-    Args:
-        error: the error of the operating system.
-        remedy: what to do if the file is missing or is not a file.
-    """
+    """Return why a file cannot be opened and what to do, as "problem; remedy"."""
     if isinstance(error, PermissionError):
         return "no permission to read it; change its owner or its mode"
     missing = isinstance(error, FileNotFoundError)

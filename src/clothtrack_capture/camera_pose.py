@@ -35,7 +35,6 @@ class CameraPlacement:
     """The pose of a camera in the world, and how well it is known.
 
     Attributes:
-        camera: the camera's name.
         world_from_camera: rigid 4 x 4 [m]; gripper_from_camera for a camera on a hand.
         table: table in that world, or None if none was found.
         fit: method and quality of the fit, as numbers and words for JSON.
@@ -125,11 +124,6 @@ def place_by_board(recording: Recording, camera: Camera, board: Board) -> Camera
 
     The origin is on the table under the middle of the board. The x axis runs along the board's
     columns and z points up.
-
-    Args:
-        recording: recording with color pictures of the board.
-        camera: camera to calibrate.
-        board: the printed board.
     """
     frames = [frame for frame in recording.frames if camera.name in frame.color]
     if not frames:
@@ -209,13 +203,7 @@ def save_placement(path: Path, placement: CameraPlacement) -> None:
 def place_camera(
     recording: Recording, placement: CameraPlacement, *, force: bool = False
 ) -> Recording:
-    """Return the recording with a camera placed, and the other cameras moved along with it.
-
-    Args:
-        recording: recording to change; it is written unless it is in memory.
-        placement: pose of the camera; a table of None removes the recording's table.
-        force: change the world even if other data are expressed in it; those data stay unchanged.
-    """
+    """Return the recording with a camera placed, and the other cameras moved along with it."""
     camera = camera_named(recording, placement.camera)
     moved = not np.array_equal(camera.world_from_camera, placement.world_from_camera)
     fixed = _given_in_world(recording)

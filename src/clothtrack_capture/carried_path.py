@@ -41,7 +41,6 @@ class CarriedPath:
     Attributes:
         pick: grasp point on the cloth [m], world.
         place: release point [m], world.
-        up: unit normal of the table.
         start_s: time at which the hand begins to rise [s].
         end_s: time at which the hand has come down [s].
         lift_m: height of the arc over the straight line [m].
@@ -93,7 +92,6 @@ def highest_cloth(
         heights: heights of the points above the table [m].
         pick: one end of the line [m].
         place: other end of the line [m].
-        up: unit normal of the table.
     """
     forward, way_m = _direction(pick, place, up)
     along = (points - pick) @ forward
@@ -118,13 +116,8 @@ def fitted_path(
     Cloth above the arc costs more than cloth below it, because cloth hangs.
 
     Args:
-        clicked: arc given by the clicks alone.
-        seen: highest cloth around the clicked frames.
         heights_m: heights of pick and place above the table [m].
         between_s: earliest start and latest end of the hand's motion [s].
-
-    Returns:
-        The arc, or None if too few frames show lifted cloth.
     """
     height, known = seen.height_m, np.isfinite(seen.height_m)
     before = _typical(height[known & (seen.time_s < clicked.start_s - 0.5 * _CLICK_ERROR_S)])

@@ -31,8 +31,6 @@ class ClickedAction:
 
     Attributes:
         pick: click on the cloth at the grasp.
-        place: click at the release.
-        path: arc of the hand.
         seen: whether its times and height were fitted to the cloth; otherwise the times are the
             clicked ones and the height is the usual one.
     """

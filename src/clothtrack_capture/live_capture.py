@@ -114,7 +114,6 @@ class _CaptureState:
     """The state of a capture.
 
     Attributes:
-        written: number of frames on disk.
         dropped: number of frames that came faster than the disk could take them, or not after the
             last.
         error: reason why writing stopped; empty while there is none.

@@ -26,11 +26,9 @@ class MaskSummary:
     """Statistics of the masks of a recording.
 
     Attributes:
-        frames: number of frames with cloth.
         pixels: median number of cloth pixels per frame with cloth.
         least_share: share of the picture covered by the smallest mask.
         most_share: share of the picture covered by the largest mask.
-        smallest_frame: frame with the smallest mask.
         doubtful: frames without any cloth, or with much less or more cloth than those around them.
     """
 

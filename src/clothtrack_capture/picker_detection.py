@@ -44,11 +44,8 @@ class PickerDetection:
     """A picker detected in a recording.
 
     Attributes:
-        path: tip positions in the frames that show it, and when it was closed.
-        actions: detected pick-and-places.
         picks: frames in which it closes, one per action.
         releases: frames in which it is open again, one per action.
-        seen: whether each frame shows the tip.
         by: cue for when the picker is closed, "tip distance" or "dwell".
     """
 
@@ -202,7 +199,6 @@ def nearest_visible_vertex(
     Args:
         cloth: mesh in its current state [m], world frame.
         tip: position of the tip [m].
-        cameras: cameras that see the cloth.
         radius_m: reach of the tip [m].
     """
     distance = np.linalg.norm(cloth.vertices - tip, axis=1)

@@ -69,8 +69,6 @@ def closed_by_rest(
     Args:
         positions: positions of the tip [m]; NaN where it is not seen.
         heights: heights above the table [m].
-        visits: per visit, the frames that show the tip, from its entering the picture to its
-            leaving.
     """
     spans = []
     for visit in visits:
@@ -98,8 +96,6 @@ def closed_by_gap(
     Args:
         gaps: gaps between the arms [m]; NaN where the tip is not seen.
         heights: heights above the table [m].
-        visits: per visit, the frames that show the tip, from its entering the picture to its
-            leaving.
     """
     shown = gaps[np.isfinite(gaps)]
     limit = 0.5 * float(np.percentile(shown, 5) + np.percentile(shown, 95))

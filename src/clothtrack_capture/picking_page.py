@@ -23,11 +23,7 @@ def pick_live(
     stop: threading.Event | None = None,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
-    """Serve the page until the clicks are saved, `stop` is set or Ctrl-C is pressed.
-
-    Returns:
-        The recording with its actions; None if the page was left without saving.
-    """
+    """Serve the page until the clicks are saved, `stop` is set or Ctrl-C is pressed."""
     stop = stop or threading.Event()
     page = _Page(picking, name, stop)
     serve_until(stop, page.ask, page.tell, opened=opened)

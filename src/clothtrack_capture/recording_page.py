@@ -121,11 +121,7 @@ def record_live(
     *,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
-    """Serve the page while the camera runs, until it is finished or Ctrl-C is pressed.
-
-    Returns:
-        The recording; None if the page was left before the start.
-    """
+    """Serve the page while the camera runs, until it is finished or Ctrl-C is pressed."""
     watching = threading.Thread(target=session.watch, daemon=True)
     page = _Page(session)
     try:

@@ -20,11 +20,7 @@ def segment_live(
     stop: threading.Event | None = None,
     opened: Callable[[str], None] | None = None,
 ) -> Recording | None:
-    """Serve the page until the masks are kept, `stop` is set or Ctrl-C is pressed.
-
-    Returns:
-        The recording with its masks; None if the page was left without keeping.
-    """
+    """Serve the page until the masks are kept, `stop` is set or Ctrl-C is pressed."""
     stop = stop or threading.Event()
     page = _Page(setup, stop)
     serve_until(stop, page.ask, page.tell, opened=opened)

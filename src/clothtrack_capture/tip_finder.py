@@ -270,8 +270,6 @@ def learned_finder(
 
     Args:
         looks: color (red first) and depth [m] of pictures from the whole recording.
-        members: rough set of the tip's colors.
-        camera: camera that took the pictures.
     """
     pictures = [color for color, _ in looks]
     members, background = _without_surroundings(pictures, members)

@@ -4,9 +4,5 @@ from clothtrack.files.extras import require_extra
 
 
 def require_lab() -> None:
-    """Check that the extra [lab] is installed.
-
-    Raises:
-        InvalidConfigError: it is not; the message has the command that installs it.
-    """
+    """Check that the extra [lab] is installed."""
     require_extra("lab", ("mujoco",), "the simulated world")

@@ -100,15 +100,7 @@ def episode_parts(
     garment_seed: int | None = None,
     output: Path | None = None,
 ) -> EpisodeParts:
-    """Return the parts that episodes of `flatten` can share: networks, or a policy without any.
-
-    Args:
-        garment: kind of garment on the table.
-        config: configuration of flattening.
-        device: device to compute on.
-        garment_seed: as in `flatten`; needs `output`.
-        output: folder of the episodes.
-    """
+    """Return the parts that episodes of `flatten` can share: networks, or a policy without any."""
     if garment_seed is not None and output is not None:
         config = knowing_the_garment(config, OneGarment(garment, garment_seed), output)
     return _parts(garment, config, device=device)
@@ -122,12 +114,7 @@ def _parts(garment: GarmentKind, config: FlattenConfig, *, device: str) -> Episo
 def plan_flattening(
     recording: Path, output: Path, config: FlattenConfig, *, seed: int, device: str
 ) -> EpisodeStore:
-    """Plan one action for the last picture of a recording and save it; nothing moves.
-
-    Raises:
-        InvalidRecordingError: the picture cannot be read, or shows no cloth.
-        InvalidConfigError: the recording has no table.
-    """
+    """Plan one action for the last picture of a recording and save it; nothing moves."""
     source = read_recording(recording)
     if source.table is None:
         raise InvalidConfigError(f"{recording}: it has no table; flattening needs one")

@@ -35,25 +35,7 @@ def run_episodes(
     ray: str = "",
     progress: Progress | None = None,
 ) -> Generator[Row, None, None]:
-    """Run episodes and summarize each as it ends; finished ones are kept.
-
-    Args:
-        output: folder of the episodes.
-        garment: kind of garment on the table.
-        config: configuration of flattening.
-        seeds: seeds of the episodes.
-        garment_seed: seed of the single garment, if there is one.
-        device: "cpu" or "cuda:0".
-        parts: networks for episodes run in this process; other processes load their own.
-        watch: function called with every step of this process.
-        workers: number of processes; each runs one episode at a time.
-        ray: address of the Ray cluster to run on; worker processes by default.
-        progress: function called with every action (in one process) or after every episode.
-
-    Raises:
-        InvalidConfigError: another run writes to `output`.
-        ClothTrackError: an episode failed (raised after all others have ended), or a worker died.
-    """
+    """Run episodes and summarize each as it ends; finished ones are kept."""
     work = _Flattening(Path(output), garment, config, tuple(seeds), garment_seed, device)
     if alone := workers == 1 and not ray:
         work = replace(work, parts=parts, watch=watch, progress=progress)

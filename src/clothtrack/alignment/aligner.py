@@ -82,7 +82,6 @@ class Alignment:
         corrections: displacement of every vertex [m], world frame.
         losses: objective [m^2] at the start and after every iteration.
         terms: the same per weighted term, by the names of `TERMS`.
-        iterations: number of iterations done.
         reason: why it ended: "iterations": all were done; "tolerance": converged before; or "no
             points", "no visible vertex" or "not finite", with zero corrections.
     """
@@ -99,8 +98,6 @@ class CloudAligner:
 
     Args:
         mesh: the flat first mesh; its edges give the pairs of the rigidity and the rest lengths.
-        config: objective and solver.
-        device: Warp device, "cpu" or "cuda:0".
     """
 
     def __init__(self, mesh: ClothMesh, config: AlignmentConfig, *, device: str = "cpu") -> None:
@@ -133,16 +130,7 @@ class CloudAligner:
         Args:
             positions: the predicted mesh [m], world frame.
             observation_points: the cloud [m], world frame.
-            visible: vertices that a cloud point can belong to.
-            trusted: visible vertices whose absence from the cloud is evidence; only they are also
-                matched to their nearest cloud point. None: all visible ones.
-            table: the plane that the cloth cannot pass, or None.
             rest_height_m: height of a vertex that lies on the table [m].
-            marks: vertex targets from followed points.
-
-        Returns:
-            The corrections and the objective over the iterations; zero corrections, with the
-            reason, if there is nothing to align or the result is not finite.
         """
         if not len(observation_points) or not visible.any():
             reason = "no visible vertex" if len(observation_points) else "no points"

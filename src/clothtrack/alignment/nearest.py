@@ -47,8 +47,6 @@ class MovingGrid:
         lower: lower corner of the box that contains the initial points [m].
         upper: its upper corner [m].
         cell_m: edge of a cell [m]; increased if the box would need too many cells.
-        points: number of points in the array.
-        device: Warp device.
     """
 
     def __init__(

@@ -305,16 +305,8 @@ def match_points(
     Args:
         cloud: the observed points [m].
         positions: the current vertices [m].
-        grid: the visible vertices.
-        progress: state of the run.
         reach: distance beyond the neighbor that a search covers [m].
-        nearest: vertex per point, -1 before the first search.
-        cells: the grid cell of each point.
         limit: runner-up distance at the last search plus `traveled` in the cell at that time [m].
-        pulled_count: number of cloud points per vertex.
-        pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
-        sums: row of this iteration, column 0: summed squared residuals, fixed point.
-        strip: points per thread; large on a CPU, where atomics are slow and threads are few.
     """
     start = wp.tid() * strip
     total = wp.float64(0.0)
@@ -356,18 +348,13 @@ def match_vertices(
     """Find the nearest cloud point of each trusted vertex: its partner if it is in range.
 
     Args:
-        vertices: the trusted vertices.
         positions: all current vertices [m].
         cloud: the observed points [m].
-        grid: the observed points' cells.
-        progress: state of the run; counts the partners.
         reach: distance beyond the neighbor that a search covers [m].
         shortest: smallest distance of partners [m].
         longest: largest distance of partners [m].
-        nearest: cloud point per trusted vertex; -1: none was in reach.
         others: runner-up distance at the last search [m]; -1 before the first search.
         searched_from: position of the vertex at that search [m].
-        partner: cloud point per vertex of the mesh, or -1.
     """
     number = wp.tid()
     vertex = vertices[number]

@@ -37,13 +37,7 @@ def silhouette_gap(
     """Return 1 minus the IoU of the mesh's and the cloud's silhouettes, over all cameras.
 
     Args:
-        mesh: the topology.
         vertices: positions of its vertices [m].
-        observation: the cloud at its full density, and the hidden pixels of the cameras.
-        device: "cpu" or "cuda:0".
-
-    Returns:
-        0 for equal outlines, 1 for disjoint ones; NaN if nothing is in view.
     """
     return _Outline(mesh, observation, device).gap(vertices)
 
@@ -94,11 +88,7 @@ def slide_to_outline(
     except a few at the rim have a partner where they are. The outline does not have this problem.
 
     Args:
-        mesh: the topology.
         vertices: positions of its vertices [m].
-        observation: the cloud, and the hidden pixels of the cameras.
-        table: the plane on which it slides.
-        device: "cpu" or "cuda:0".
 
     Returns:
         The moved vertices [m]; unchanged if no move fits better.

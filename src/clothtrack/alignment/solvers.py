@@ -28,8 +28,6 @@ class Problem:
 
     Attributes:
         initial: vertices [m] at zero displacement, relative to their center.
-        matcher: keeps nearest points up to date.
-        scene: inputs of the residuals.
         scales: weight of the sum of squares of each of `TERMS`.
     """
 
@@ -99,7 +97,6 @@ class Adam(Checked):
     """Adam with new matches in every iteration, as in the paper.
 
     Attributes:
-        iterations: number of steps (the paper: 200).
         step_m: length of a step [m].
     """
 
@@ -151,7 +148,6 @@ class GaussNewton(Checked):
 
     Attributes:
         iterations: maximum number of iterations, each with new matches.
-        inner: conjugate gradient steps per iteration.
         momentum: share of the last step that is added to the next.
         damping: resistance to the rotation of an edge in one step, relative to the resistance to
             stretch. Without it rotations cost nothing, so vertices oscillate: they move to their

@@ -239,15 +239,7 @@ def table(
 
 @dataclass(frozen=True)
 class Sizes:
-    """Counts for the means of the terms, and optional inputs of an alignment.
-
-    Attributes:
-        points: cloud points.
-        vertices: vertices of the mesh.
-        edges: edges of the mesh.
-        marks: whether there are marks.
-        table: whether there is a table.
-    """
+    """Counts for the means of the terms, and optional inputs of an alignment."""
 
     points: int
     vertices: int
@@ -261,7 +253,6 @@ class _Term:
     """One term of the objective.
 
     Attributes:
-        name: key of `Alignment.terms`.
         residual: Warp function with the signature of `chamfer`.
         weight: returns the weight of the sum of squares, given the configuration and the counts.
         edges: how the term couples the two ends of an edge in the Gauss-Newton Hessian: not at all,

@@ -100,18 +100,7 @@ def label_evidence(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> tuple[LabelEvidence, ...]:
-    """Return the evidence about every label of one trajectory.
-
-    Args:
-        mesh: the first mesh; its edges are the rest lengths.
-        labels: labels in the order of the actions.
-        recording: recording that they were tracked from.
-        segmenter: segmentation of the cloth; the recording's own by default.
-        device: "cpu" or "cuda:0", for visibility.
-
-    Raises:
-        InvalidResultError: the recording has no frame for a label.
-    """
+    """Return the evidence about every label of one trajectory."""
     evidence = []
     traveled, previous = 0.0, np.asarray(mesh.vertices, np.float64)
     for number, label in enumerate(labels, 1):
@@ -143,12 +132,7 @@ def misfit_at(
     """Return the local misfit between a mesh and the observation of a frame.
 
     Args:
-        mesh: the topology and the flat cloth.
         vertices: positions of its vertices [m].
-        recording: recording that the mesh was tracked from.
-        frame: number of the frame.
-        segmenter: segmentation of the cloth; the recording's own by default.
-        device: "cpu" or "cuda:0", for the outlines.
     """
     dense, cloud = _seen(recording, frame, segmenter)
     away = distance_to_mesh(cloud, vertices, mesh.faces) if len(cloud) else np.zeros(0)
@@ -176,13 +160,8 @@ def mesh_evidence(
     """Return the evidence about one mesh.
 
     Args:
-        mesh: the first mesh; its edges are the rest lengths.
-        label: the mesh.
-        dense: the cloud of its frame, with the unobservable regions.
         cloud: the same cloud thinned [m].
         travelled_m: mean path length of the vertices so far [m].
-        action: number of the action, from 1.
-        device: "cpu" or "cuda:0", for visibility.
     """
     away = distance_to_mesh(cloud, label.vertices, mesh.faces) if len(cloud) else np.zeros(0)
     seen = visible_vertices(label.vertices, mesh.faces, dense.cameras, device=device)

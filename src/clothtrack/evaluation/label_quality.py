@@ -78,11 +78,7 @@ class QualityModel(Checked):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the model is valid and monotone.
-
-        Raises:
-            InvalidConfigError: a field is invalid; the error names its value and limit.
-        """
+        """Check that the model is valid and monotone."""
         super().__post_init__()
         unknown = set(self.weights) - set(EVIDENCE_NAMES)
         if unknown:
@@ -100,11 +96,7 @@ class QualityModel(Checked):
         return math.exp(self.log_error + sum(parts))
 
     def save(self, path: Path) -> None:
-        """Write the model as JSON, whole or not at all.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
+        """Write the model as JSON, whole or not at all."""
         document = {
             "format": FORMAT,
             "version": FORMAT_VERSION,
@@ -117,11 +109,7 @@ class QualityModel(Checked):
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> "QualityModel":
-        """Read a model that `save` wrote; by default the shipped one.
-
-        Raises:
-            InvalidResultError: the file is missing or is not a model.
-        """
+        """Read a model that `save` wrote; by default the shipped one."""
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
             stored = document["format"], document["version"]
@@ -174,10 +162,7 @@ class LabelQuality:
     """Quality of one label.
 
     Attributes:
-        action: number of the action, from 0.
-        frame: frame of the recording.
         expected_error_mm: expected mean vertex error [mm]; NaN if nothing was seen.
-        evidence: evidence from which it follows.
         misplaced: part of the mesh that contradicts the observation.
         idle_pickers: pickers of the action that held no cloth.
     """
@@ -238,12 +223,6 @@ def left_behind(
     The mesh rests from the last frame of an action to the next action, or to the end of the
     recording. Cloth that moves meanwhile leaves the mesh behind. Actions without frames after them
     are left out.
-
-    Args:
-        tracked: the tracked trajectory.
-        recording: recording that it was tracked from.
-        segmenter: segmentation of the cloth; the recording's own by default.
-        device: "cpu" or "cuda:0", for the outlines.
     """
     ends = [*(action.first_frame for action in tracked.actions), len(recording.frames) - 1][1:]
     found = []
@@ -298,13 +277,7 @@ def fit_quality(
     Labels with missing evidence are left out.
 
     Args:
-        evidence: evidence of each label.
         errors_m: their true mean vertex errors [m].
-        shrinkage: weight of the squared coefficients against the mean squared residual.
-        provenance: stored with the model.
-
-    Raises:
-        InvalidConfigError: fewer than three labels, or an error that is not positive.
     """
     terms = np.array([_terms(one) for one in evidence]).reshape(-1, len(EVIDENCE_NAMES))
     known = np.isfinite(terms).all(axis=1)

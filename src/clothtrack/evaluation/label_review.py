@@ -31,10 +31,7 @@ class ReviewedLabel:
     """A label and the decision about it.
 
     Attributes:
-        action: number of the action, from 0.
-        frame: frame of the recording.
         mesh: first 16 hexadecimal digits of the SHA-256 of its vertices (float32, little endian).
-        verdict: accepted, rejected, or open.
     """
 
     action: int
@@ -45,12 +42,7 @@ class ReviewedLabel:
 
 @dataclass(frozen=True)
 class LabelReview:
-    """The decisions about one tracked trajectory.
-
-    Attributes:
-        name: name of the trajectory.
-        labels: reviewed labels, one per action.
-    """
+    """The decisions about one tracked trajectory."""
 
     name: str
     labels: tuple[ReviewedLabel, ...]
@@ -87,11 +79,7 @@ class LabelReview:
         }
 
     def save(self, path: Path) -> None:
-        """Write the review as JSON, whole or not at all.
-
-        Raises:
-            StorageError: the disk refuses; the previous file is then unchanged.
-        """
+        """Write the review as JSON, whole or not at all."""
         with atomic_file(path) as temporary:
             text = json.dumps(self.as_document(), indent=2)
             temporary.write_text(text + "\n", encoding="utf-8")
@@ -103,11 +91,7 @@ def review_path(tracked: Path) -> Path:
 
 
 def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
-    """Return the review at `path`, or a blank one if there is no such file.
-
-    Raises:
-        InvalidResultError: the file is damaged, of another version, or about other meshes.
-    """
+    """Return the review at `path`, or a blank one if there is no such file."""
     blank = LabelReview.blank(tracked)
     if not path.exists():
         return blank

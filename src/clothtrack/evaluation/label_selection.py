@@ -17,13 +17,7 @@ logger = logging.getLogger(__name__)
 def pseudo_labels_of(
     tracked: TrackedTrajectory, judged: Sequence[LabelQuality], rejected: Collection[int]
 ) -> "list[PseudoLabel]":
-    """Return the first frame and the end of every action that has a quality and is not rejected.
-
-    Args:
-        tracked: the tracked trajectory.
-        judged: qualities of its labels.
-        rejected: numbers of the actions whose labels were rejected in a review, from 0.
-    """
+    """Return the first frame and the end of every action that has a quality and is not rejected."""
     from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
 
     chosen = [PseudoLabel(int(tracked.frames[0]), tracked.positions[0])]

@@ -61,12 +61,9 @@ def local_misfit(
     """Compute the misfit between a mesh and the observation at each vertex.
 
     Args:
-        mesh: the topology and the flat cloth.
         vertices: positions of its vertices [m].
-        observation: the dense cloud, with the unobservable regions.
         cloud: the same cloud thinned [m].
         away_m: distance of each of its points from the surface of the mesh [m].
-        device: "cpu" or "cuda:0", for the outlines.
     """
     uncovered, unsupported = np.zeros((2, len(vertices)))
     silent = observation.unobservable(vertices)[mesh.faces].any(axis=1)

@@ -35,7 +35,6 @@ class ErrorSummary:
         median: median [mm].
         p95: 95th percentile [mm].
         max: maximum [mm].
-        count: number of vertices.
     """
 
     mean: float
@@ -134,11 +133,6 @@ def vertex_error_mm(
     Args:
         vertices: tracked vertices in the world [m].
         true_points: true positions of the same material points [m].
-        truly_visible: whether a camera sees the material point. It is computed from the truth so
-            that every method is evaluated on the same two sets.
-
-    Returns:
-        Summaries for "all", "visible" and "hidden".
     """
     errors = 1e3 * np.linalg.norm(vertices - true_points, axis=1)
     return {
@@ -158,9 +152,7 @@ def cloth_measures(
     """Compute strain, self-intersection, table and coverage measures of one mesh.
 
     Args:
-        rest: the flat first mesh, whose edges are the rest lengths.
         vertices: vertices to measure, in the world [m].
-        table: the table, or None if the cloth hangs; coverage is then seen along z.
         rest_height_m: height of the mid-surface of a cloth that lies on the table [m].
     """
     normal = (0.0, 0.0, 1.0) if table is None else tuple(float(n) for n in table.normal)

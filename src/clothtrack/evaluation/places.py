@@ -20,8 +20,6 @@ def place_of(
 
     Args:
         vertices: vertices of the whole cloth [m, world].
-        part: mask of the part, with at least one vertex.
-        cameras: cameras, of which the first is used; without any, the view from above.
     """
     points = np.asarray(vertices, np.float64)
     whole = cameras[0].project(points)[0] if cameras else points[:, :2] * (1, -1)

@@ -45,18 +45,12 @@ class Row:
     The paper measures before. The mesh after it starts the next action and becomes a pseudo-label.
 
     Attributes:
-        recording: name of the recording.
         method: named mode of the tracker, or "custom".
-        action: number of the action, from 0.
-        frame: frame of the recording.
-        stage: before or after the final alignment.
         chamfer_pc: visible vertices against the cloud [m^2].
         chamfer_pc_rms_mm: root of half of it [mm].
         chamfer_floor: the same for the truth, or between two halves of the cloud [m^2].
-        floor_of: "truth" or "cloud halves".
         chamfer_surface: whole surface against the true one [m^2]; NaN without truth.
         vertex_error_mm: errors of "all", "visible", "hidden" vertices; empty without truth.
-        cloth: measures that need no truth.
     """
 
     recording: str
@@ -78,7 +72,6 @@ class Evaluation:
     """The rows of one tracked trajectory.
 
     Attributes:
-        name: name of the recording.
         rows: measures per action, before and after the final alignment.
         labels: quality of the mesh after the final alignment, per action; estimated from the
             observation without the truth.
@@ -120,19 +113,7 @@ def evaluate(
     device: str = "cpu",
     seed: int = 0,
 ) -> Evaluation:
-    """Measure a tracked trajectory at the end of each action.
-
-    Args:
-        tracked: the tracked trajectory.
-        recording: recording that it was tracked from.
-        truth: the true meshes, if they are known.
-        segmenter: segmentation of the cloth; the recording's own by default.
-        device: "cpu" or "cuda:0", for visibility.
-        seed: seed of surface samples and cloud halves.
-
-    Raises:
-        InvalidResultError: trajectory, recording and truth do not belong together.
-    """
+    """Measure a tracked trajectory at the end of each action."""
     if tracked.actions and tracked.actions[-1].last_frame >= len(recording.frames):
         raise InvalidResultError(
             f"{tracked.name}: an action ends at frame {tracked.actions[-1].last_frame}, but "
@@ -169,8 +150,6 @@ def observed_chamfer(
 
     Args:
         vertices: vertices of the mesh, in the world [m].
-        seen: whether a camera sees the vertex.
-        observation: observation of the same frame.
     """
     return chamfer_pc(vertices, seen & ~observation.unobservable(vertices), observation.points)
 
@@ -276,11 +255,7 @@ def as_plain(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def from_plain(document: Mapping[str, Any]) -> Evaluation:
-    """Return the evaluation that `as_plain` wrote.
-
-    Raises:
-        KeyError, TypeError: the document is not an evaluation.
-    """
+    """Return the evaluation that `as_plain` wrote."""
 
     def numbers(values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: np.nan if value is None else value for name, value in values.items()}

@@ -72,9 +72,6 @@ def material_map(
 
     Canonical coordinates identify material points for any triangulation. Therefore the closest
     point on the true mesh in canonical space is the same material point.
-
-    Returns:
-        The true face, and the barycentric coordinates in it.
     """
     return closest_on_mesh(canonical, truth_canonical, truth_faces)
 

@@ -89,13 +89,8 @@ class Evidence:
     """One measure of the quality of a mesh.
 
     Attributes:
-        name: one of `LIMITS`, or the check of the recording that found it.
         measured: measured value, in `unit`; NaN if nothing was seen.
-        limit: largest acceptable value.
         unit: "m", "deg", "s" or "" for a plain number.
-        word: verdict from this evidence alone.
-        text: description of the observation.
-        remedy: action that helps.
         action: number of the action, from 0; None for the whole recording.
     """
 
@@ -183,13 +178,7 @@ def trajectory_verdict(
     findings: Iterable[Finding] = (),
     later: Iterable[tuple[int, Misplaced]] = (),
 ) -> Verdict:
-    """Return the verdict on a trajectory from its worst evidence.
-
-    Args:
-        labels: qualities of the labels of all its actions.
-        findings: contradictions within its recording.
-        later: frames after the actions, and the part of the cloth that left the mesh by then.
-    """
+    """Return the verdict on a trajectory from its worst evidence."""
     evidence = [_of_finding(finding) for finding in findings]
     for frame, part in later:
         text = f"{part.text}, by frame {frame}, after an action"
@@ -213,19 +202,7 @@ def judge(
     device: str = "cpu",
     frames: ObservedFrames | None = None,
 ) -> Verdict:
-    """Return the verdict on a trajectory from all evidence.
-
-    Args:
-        tracked: the tracked trajectory.
-        recording: recording that it was tracked from.
-        labels: qualities of its labels; computed by default.
-        segmenter: segmentation of the cloth; the recording's own by default.
-        device: "cpu" or "cuda:0", for visibility.
-        frames: observed frames of the recording, if some have been computed already.
-
-    Raises:
-        InvalidResultError: trajectory and recording do not belong together.
-    """
+    """Return the verdict on a trajectory from all evidence."""
     if labels is None:
         labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
     later = left_behind(tracked, recording, segmenter=segmenter, device=device)

@@ -58,11 +58,7 @@ def storage(path: Path) -> Iterator[None]:
 
 
 def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal digits.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
+    """Return the SHA-256 of a file in hexadecimal digits."""
     with storage(path), Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -72,9 +68,6 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a temporary file to write to; it is renamed to `path` on success.
 
     The temporary name keeps the suffix, from which writers guess the format.
-
-    Raises:
-        StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
     path = Path(path)
     temporary: Path | None = None
@@ -95,27 +88,14 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 
 def write_file(path: Path, data: bytes | memoryview) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        StorageError: when the disk refuses; what was at `path` before is untouched then.
-    """
+    """Write a file, whole or not at all."""
     with atomic_file(path) as unfinished:
         unfinished.write_bytes(data)
 
 
 @contextmanager
 def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder beside `path` to fill; it is renamed to `path` on success.
-
-    Args:
-        path: the folder's final name.
-        replace: replace a folder at `path` on success: the old one is renamed before the new one
-            takes its name, and removed after that.
-
-    Raises:
-        StorageError: when the disk refuses, or when `path` is not empty and not to be replaced.
-    """
+    """Yield a temporary folder beside `path` to fill; it is renamed to `path` on success."""
     path = Path(path)
     temporary: Path | None = None
     old: Path | None = None
@@ -198,12 +178,6 @@ def clear_leftovers(paths: Iterable[Path]) -> None:
 
     The caller must hold the lock of the output folder, because leftovers of other machines are
     removed, too. A folder that a killed process was replacing gets its name back.
-
-    Args:
-        paths: final names of the files and folders.
-
-    Raises:
-        StorageError: the disk refuses.
     """
     wanted = set(paths)
     for folder in {path.parent for path in wanted}:
@@ -213,11 +187,7 @@ def clear_leftovers(paths: Iterable[Path]) -> None:
 
 
 def clear_dead(folder: Path) -> None:
-    """Remove everything unfinished that killed processes of this machine have left in a folder.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Remove everything unfinished that killed processes of this machine have left in a folder."""
     for left, final, host, pid in _leftovers(folder):
         if host == _HOST and not _is_alive(pid):
             _remove(left, final)

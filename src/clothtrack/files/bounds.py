@@ -23,14 +23,7 @@ from clothtrack.errors import InvalidConfigError
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of a finite number; None means no limit.
-
-    Attributes:
-        least: smallest value that is allowed.
-        most: largest value that is allowed.
-        above: the value must be larger.
-        below: the value must be smaller.
-    """
+    """Limits of a finite number; None means no limit."""
 
     least: int | float | None = None
     most: int | float | None = None
@@ -67,7 +60,6 @@ class Interval:
 
     Attributes:
         least: smallest value of the first; None: any.
-        empty: whether both may be the same.
         most: largest value of the second; None: any.
     """
 
@@ -119,11 +111,7 @@ class Checked:
     """Base class of configurations that refuses values outside their declared limits."""
 
     def __post_init__(self) -> None:
-        """Check every field with a declared limit.
-
-        Raises:
-            InvalidConfigError: with the first field that is outside, its value and the limit.
-        """
+        """Check every field with a declared limit."""
         for field in fields(self):
             if limit := _refused(field.type, getattr(self, field.name)):
                 value = f"{getattr(self, field.name)!r:.120}"

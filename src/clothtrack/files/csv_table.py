@@ -17,7 +17,6 @@ class Column:
 
     Attributes:
         read: converts a field, stripped of blanks, to a value; raises ValueError if it is wrong.
-        remedy: what to write instead.
     """
 
     read: Callable[[str], Any]
@@ -43,12 +42,7 @@ NUMBER = Column(finite, "write a number")
 
 
 def read_csv(path: Path, columns: Mapping[str, Column]) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the place ("FILE: line 7") and values of every nonempty row below the header.
-
-    Raises:
-        InvalidRecordingError: the file cannot be read, its header or the length of a row is wrong,
-            or a field does not fit its column.
-    """
+    """Yield the place ("FILE: line 7") and values of every nonempty row below the header."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

@@ -16,16 +16,7 @@ from clothtrack.errors import InvalidConfigError
 
 
 def require_extra(extra: str, modules: Sequence[str], work: str) -> None:
-    """Check that an extra is installed, without importing it.
-
-    Args:
-        extra: its name in pyproject.toml.
-        modules: the modules that it provides.
-        work: what needs it; the message begins with this.
-
-    Raises:
-        InvalidConfigError: it is missing; the message has the command that installs it.
-    """
+    """Check that an extra is installed, without importing it."""
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
         raise InvalidConfigError(

@@ -44,7 +44,6 @@ class Attempt(Generic[Item, Result]):
     """The outcome of an item.
 
     Attributes:
-        item: the item.
         result: its result, or None.
         error: why there is no result, or None.
     """
@@ -67,20 +66,6 @@ def attempts(
     """Do the work on every item, and yield each outcome as it is finished.
 
     The caller must hold the lock of the output folder, and close this as `finished_in_workers`.
-
-    Args:
-        work: the work to do.
-        items: all items.
-        kind: the plural that messages call the items, such as "recordings".
-        workers: number of processes.
-        ray: address of Ray, to run the work there; worker processes by default.
-        device: where to compute; with Ray and a GPU device, each item has a GPU of its own.
-        progress: called first, and after each item.
-
-    Raises:
-        InvalidConfigError: there are no workers, or Ray is not available.
-        ClothTrackError: a worker died.
-        StorageError: a folder of results cannot be written.
     """
     finished = finished_in_workers(
         partial(_attempt, work=work), items, workers, ray=ray, gpus=float(device != "cpu"),
@@ -105,11 +90,7 @@ def attempts(
 def results_of(
     tries: Iterable[Attempt[Item, Result]],
 ) -> Generator[tuple[Item, Result], None, None]:
-    """Yield items and results; raise the first error after all, but a storage error at once.
-
-    Raises:
-        ClothTrackError: an item failed.
-    """
+    """Yield items and results; raise the first error after all, but a storage error at once."""
     first: ClothTrackError | None = None
     for one in tries:
         if isinstance(one.error, StorageError):

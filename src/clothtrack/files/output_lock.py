@@ -19,13 +19,6 @@ def locked_output(folder: Path) -> Iterator[None]:
     """Hold the lock of an output folder during the block.
 
     The operating system releases the lock of a process that dies.
-
-    Args:
-        folder: made if it does not exist.
-
-    Raises:
-        InvalidConfigError: another run holds the lock.
-        StorageError: the disk refuses.
     """
     folder = Path(folder)
     path = folder / LOCK_FILE

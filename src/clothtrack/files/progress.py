@@ -15,14 +15,7 @@ _PARTS = 10_000
 
 
 def one_of(progress: Progress | None, before: int, count: int, kind: str = "") -> Progress | None:
-    """Return a callback that reports one of several equal items as a part of all.
-
-    Args:
-        progress: receives the progress of all items; None for no reports.
-        before: number of items already done.
-        count: number of items.
-        kind: name of the items, if the description does not give it.
-    """
+    """Return a callback that reports one of several equal items as a part of all."""
     name = f"{kind} {before + 1}/{count}," if kind else f"{before + 1}/{count}"
     if progress is None or count == 1:
         return progress

@@ -15,11 +15,7 @@ _VECTORS = ("avx512f", "avx2", "avx", "sse4_2", "sve", "asimd")
 
 
 def made_with(packages: Iterable[str]) -> dict[str, object]:
-    """Return versions, commit and machine, as plain values.
-
-    Args:
-        packages: distributions that the result depends on; those not installed are left out.
-    """
+    """Return versions, commit and machine, as plain values."""
     return {
         "clothtrack": __version__,
         "commit": commit(),
@@ -35,9 +31,6 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
     """Return the model of the processor, and its widest vector instructions.
 
     Kernels are compiled for the local processor, and another kind rounds the last bits differently.
-
-    Args:
-        listing: Linux's description of the processor; elsewhere, Python's is used.
     """
     try:
         text = listing.read_text("utf-8", errors="replace")

@@ -42,18 +42,6 @@ def finished_by_ray(
     """Do the work of `finished_in_workers` with Ray.
 
     Each item has one processor core. If the worker of an item dies, Ray retries it three times.
-
-    Args:
-        work: a function that can be imported on every machine.
-        items: what to work on.
-        address: address of a running cluster, such as "auto" or "ray://host:10001"; or "local".
-        workers: number of cores of the Ray that "local" starts.
-        gpus: GPUs per item.
-        name: returns the name of an item, for the error.
-
-    Raises:
-        InvalidConfigError: Ray is not installed, or does not answer.
-        ClothTrackError: the workers of an item died each time.
     """
     if not items:
         return

@@ -18,17 +18,7 @@ def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
-    """Record the settings of a folder in a file, or refuse a folder begun with others.
-
-    Args:
-        path: path of the JSON file.
-        asked: everything that the work in the folder depends on.
-
-    Raises:
-        InvalidConfigError: with the first setting that differs.
-        InvalidResultError: the file is damaged.
-        StorageError: the disk refuses.
-    """
+    """Record the settings of a folder in a file, or refuse a folder begun with others."""
     if not path.exists():
         write_file(path, json.dumps(as_plain(asked), indent=1).encode())
         return
@@ -44,16 +34,7 @@ def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
 
 
 def require_same(path: Path, stored: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Refuse to continue work that was begun with other settings.
-
-    Args:
-        path: file that holds the settings.
-        stored: the settings that it was begun with.
-        asked: the settings requested now.
-
-    Raises:
-        InvalidConfigError: with the first setting that differs.
-    """
+    """Refuse to continue work that was begun with other settings."""
     for name, was, now in _differing(stored, as_plain(asked)):
         raise InvalidConfigError(
             f"{path}: begun with another {name} ({was}, now {now}); choose another folder, or "

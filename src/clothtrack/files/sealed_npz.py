@@ -18,11 +18,7 @@ logger = logging.getLogger(__name__)
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays with the SHA-256 of each, compressed; whole or not at all.
-
-    Raises:
-        StorageError: the disk refuses; what was at `path` before is untouched then.
-    """
+    """Write arrays with the SHA-256 of each, compressed; whole or not at all."""
     digests = {name: array_digest(values) for name, values in arrays.items()}
     with atomic_file(path) as unfinished, unfinished.open("wb") as file:
         # This comes first, because a damaged directory of the archive loses the last entries.
@@ -30,13 +26,7 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Read arrays that `write_npz` has written, or an older version without SHA-256.
-
-    Raises:
-        InvalidResultError: the file cannot be read, or an array is missing or is not what was
-            written; the caller adds the file name and the remedy.
-        OSError: the file cannot be opened.
-    """
+    """Read arrays that `write_npz` has written, or an older version without SHA-256."""
     with path.open("rb") as file:
         try:
             with np.load(file, allow_pickle=False) as archive:

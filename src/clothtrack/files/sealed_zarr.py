@@ -40,15 +40,7 @@ def put_array(
     unit: str = "",
     chunks: tuple[int, ...] | None = None,
 ) -> None:
-    """Write an array with the SHA-256 of its values.
-
-    Args:
-        group: group to write to.
-        name: name in the group; may lead through subgroups.
-        values: the array.
-        unit: unit of the values.
-        chunks: shape of the part in one file; the whole array by default.
-    """
+    """Write an array with the SHA-256 of its values."""
     values = np.ascontiguousarray(values)
     sizes = tuple(max(1, size) for size in chunks or values.shape)
     array = group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=sizes)
@@ -69,11 +61,7 @@ def _rows(values: np.ndarray, chunks: tuple[int, ...]) -> Iterator[Any]:
 
 
 def take_array(group: zarr.Group, name: str) -> np.ndarray:
-    """Read an array that `put_array` has written.
-
-    Raises:
-        InvalidResultError: the array is missing, or its values are not those that were written.
-    """
+    """Read an array that `put_array` has written."""
     try:
         array = _member(group, name)
         values = np.asarray(array[...])
@@ -90,12 +78,7 @@ def take_array(group: zarr.Group, name: str) -> np.ndarray:
 
 
 def seal(group: zarr.Group, attributes: Mapping[str, Any]) -> None:
-    """Finish a group: write its attributes, its contents, and a SHA-256 over all attributes.
-
-    Args:
-        group: group in which everything else is written.
-        attributes: attributes of the group itself.
-    """
+    """Finish a group: write its attributes, its contents, and a SHA-256 over all attributes."""
     contents = sorted(name for name, _ in group.members(max_depth=None))
     group.attrs.update({**attributes, CONTENTS: contents})
     # This comes last, so that a group without it is unfinished.
@@ -103,11 +86,7 @@ def seal(group: zarr.Group, attributes: Mapping[str, Any]) -> None:
 
 
 def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
-    """Return the attributes of a sealed group, after checking all attributes below it, too.
-
-    Raises:
-        InvalidResultError: attributes or parts are missing or are not those that were written.
-    """
+    """Return the attributes of a sealed group, after checking all attributes below it, too."""
     attributes = group.attrs.asdict()
     contents, promised = attributes.get(CONTENTS), attributes.get(DIGEST)
     if promised is None or not isinstance(contents, list):

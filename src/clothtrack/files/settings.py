@@ -22,8 +22,6 @@ class Setting(NamedTuple):
 
     Attributes:
         group: dotted name of its group; empty at the top.
-        name: its own dotted name, with the group.
-        value: as it is written in `NAME=VALUE`.
         meaning: first sentence of its description in the docstring of its class, shortened.
     """
 
@@ -34,13 +32,7 @@ class Setting(NamedTuple):
 
 
 def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Setting]:
-    """Yield all settings that `with_settings` can change, a group before those below it.
-
-    Args:
-        config: a dataclass, nested at will, or a mapping.
-        group: dotted name of the configuration; empty at the top.
-        meaning: description of the entries of a mapping.
-    """
+    """Yield all settings that `with_settings` can change, a group before those below it."""
     if isinstance(config, Mapping):
         values, meanings = dict(config), dict.fromkeys(config, meaning)
     else:
@@ -192,15 +184,7 @@ def _kind(value: Any) -> str:
 
 
 def from_plain(config: Config, values: Mapping[str, Any]) -> Config:
-    """Return a configuration with stored values (`dataclasses.asdict`, through JSON).
-
-    Args:
-        config: any configuration of the same type, which gives the structure.
-        values: all fields of it, nested configurations as mappings.
-
-    Raises:
-        InvalidConfigError: a field is missing, unknown, or has an invalid value.
-    """
+    """Return a configuration with stored values (`dataclasses.asdict`, through JSON)."""
     known = {field.name for field in fields(config)}
     if differing := sorted(known ^ set(values)):
         raise InvalidConfigError(

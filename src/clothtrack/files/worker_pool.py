@@ -20,11 +20,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def require_workers(number: int) -> None:
-    """Refuse a number of worker processes below 1.
-
-    Raises:
-        InvalidConfigError: with the number.
-    """
+    """Refuse a number of worker processes below 1."""
     if number < 1:
         raise InvalidConfigError(f"the number of workers is {number}; give at least 1")
 
@@ -61,18 +57,6 @@ def finished_in_workers(
 
     Close it (`contextlib.closing`), so that an interrupt or an error kills the workers at once. The
     caller must then remove half-written files.
-
-    Args:
-        work: a function of a module, so that a worker can import it.
-        items: what to work on, begun in this order.
-        workers: number of processes; 1 works in this process.
-        ray: address of Ray, to run the work there instead of in worker processes.
-        gpus: GPUs that Ray reserves per item.
-        name: returns the name of an item, for the error.
-
-    Raises:
-        InvalidConfigError: there are no workers, or Ray is not available.
-        ClothTrackError: a worker died; the message names the items in progress.
     """
     require_workers(workers)
     if ray:

@@ -46,7 +46,6 @@ class Stretch:
     """Named part of a garment's outline.
 
     Attributes:
-        name: hem, side, cuff, shoulder, neck, waist, outer seam, inner seam or edge.
         points: points on the upright garment [m].
         pixels: the same points in the picture; column and row.
     """
@@ -71,12 +70,9 @@ class FlatTemplate:
     """Template of a garment and the outline that it was made from.
 
     Attributes:
-        kind: the garment.
         mesh: the flat mesh, neck or waist toward +y, with canonical coordinates.
-        stretches: its outline, counterclockwise.
         asymmetry_m: root mean square distance between each half and the mirror image of the other
             [m].
-        mirrored: whether the halves were made symmetric.
         neck_seen: whether the neck's ends were detected rather than guessed.
     """
 
@@ -124,18 +120,7 @@ def make_template(
     """Make the template of a garment from its outline when it lies flat, front up.
 
     Args:
-        outline: the outline seen from above.
-        kind: the garment.
-        vertex_count: approximate number of vertices.
         front_neck_m: depth of the front neckline [m]; None: a tenth of the length.
-        openings: pixels of the ends of its openings (`openings_at`); None: detected.
-        mirrored: whether nearly symmetric halves are made exactly symmetric.
-        seed: seed of the triangulation.
-        name: name of the picture in messages.
-
-    Raises:
-        InvalidConfigError: the kind is unknown, or a number does not fit.
-        InvalidRecordingError: the outline is not that of such a garment.
     """
     if kind not in get_args(TemplateKind):
         raise InvalidConfigError(

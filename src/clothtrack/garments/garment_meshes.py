@@ -67,12 +67,6 @@ def towel(
         width_m: extent along x [m].
         length_m: extent along y [m].
         spacing_m: length of an edge [m]; each side gets the nearest whole number of edges.
-        pattern: "regular" cuts every grid cell along the same diagonal, "alternating" along the
-            other one in every second cell, "random" is a rotated triangular lattice.
-        seed: seed for the rotation and shift of the lattice of "random".
-
-    Raises:
-        InvalidConfigError: the spacing does not fit the size.
     """
     _check_size(width_m, length_m, spacing_m)
     if pattern == "random":
@@ -119,10 +113,6 @@ def tshirt(
         length_m: length from hem to shoulder [m].
         spacing_m: length of an edge [m].
         layer_gap_m: distance of the layers [m] away from the seams.
-        seed: seed for the rotation and shift of the lattice of each layer.
-
-    Raises:
-        InvalidConfigError: the spacing does not fit the size.
     """
     _check_size(width_m, length_m, spacing_m)
     corners = tshirt_corners(width_m, length_m)
@@ -149,12 +139,8 @@ def two_layers(
 
     Args:
         front: outline [m] of the front, counterclockwise; open edges may differ from the back's.
-        back: outline of the back; its seams are those of the front.
         spacing_m: length of an edge [m].
         layer_gap_m: distance of the layers [m] away from the seams.
-        open_front: whether the front of a shirt is cut along its middle.
-        hood: outline of the upper layer of a hood, which is sewn to the back; None: no hood.
-        seed: seed for the rotation and shift of the lattice of each layer.
     """
     behind = triangulate(back, spacing_m, 2 * seed + 1)
     outlines = [*(cut_open(front) if open_front else [front]), *([hood] if hood else [])]
@@ -181,14 +167,7 @@ def shirt(
     """Make a shirt of any cut, lying flat like `tshirt`.
 
     Args:
-        outline: its proportions.
         length_m: length from the hem to the neck [m].
-        vertex_count: desired number of vertices.
-        open_front: whether the front is cut along its middle, as that of a cardigan or a robe.
-        seed: seed for the rotation and shift of the lattice of each layer.
-
-    Raises:
-        InvalidConfigError: the outline crosses itself.
     """
     front = outline.spans(length_m, depth=outline.front_depth)
     if outline.hood:
@@ -204,10 +183,7 @@ def trousers(
     """Make trousers of any cut, lying flat, waist toward +y; waist and two cuffs are open.
 
     Args:
-        outline: their proportions.
         length_m: length from the cuffs to the waist [m].
-        vertex_count: desired number of vertices.
-        seed: seed for the rotation and shift of the lattice of each layer.
     """
     spans = outline.spans(length_m)
     return sewn(spans, spans, vertex_count=vertex_count, seed=seed)
@@ -260,14 +236,7 @@ def garment(
     """Make a flat garment with about the desired number of vertices (within about 8 %).
 
     Args:
-        kind: "towel" or "tshirt".
-        vertex_count: desired number of vertices.
         size_m: width and length [m]; None: the default size of the kind.
-        pattern: triangulation of a towel.
-        seed: seed for the rotation and shift of the triangulation, if it has these freedoms.
-
-    Raises:
-        InvalidConfigError: the kind is unknown, or the count does not fit the size.
     """
     if kind not in DEFAULT_SIZES_M:
         raise InvalidConfigError(
@@ -292,7 +261,6 @@ def with_vertices(
 
     Args:
         make: makes a mesh with edges of a given length [m].
-        vertex_count: desired number of vertices.
         spacing: initial length of an edge [m].
     """
     best = make(spacing)

@@ -47,7 +47,6 @@ class Openings:
     """Upright outline, cut at the ends of its openings.
 
     Attributes:
-        outline: the upright outline, counterclockwise.
         starts: index of the first point of every stretch.
         names: name of each stretch, as in `_SHIRT_STRETCHES`.
         neck_seen: whether the neck's ends were detected rather than guessed.
@@ -71,16 +70,7 @@ class Openings:
 
 
 def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture") -> Openings:
-    """Rotate a flat garment upright and find its openings.
-
-    Args:
-        outline: the outline seen from above.
-        kind: the garment.
-        name: name of the picture in messages.
-
-    Raises:
-        InvalidRecordingError: the outline is not that of such a garment.
-    """
+    """Rotate a flat garment upright and find its openings."""
     angle, through = mirror_axis(outline.points)
     centered = outline.shifted(-through)
     search = _trousers_landmarks if kind == "trousers" else _shirt_landmarks
@@ -116,17 +106,7 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
 def openings_at(
     outline: Silhouette, kind: SewnKind, pixels: Float[np.ndarray, "ends 2"]
 ) -> Openings:
-    """Return openings whose ends a person has marked.
-
-    Args:
-        outline: the outline seen from above.
-        kind: the garment.
-        pixels: column and row of the ends of hem, cuff, neck, cuff, or of waist, cuff, cuff, in
-            order around the garment in either direction; the nearest outline point is used.
-
-    Raises:
-        InvalidConfigError: there are too many or too few ends, or they are not in order.
-    """
+    """Return openings whose ends a person has marked."""
     names = _TROUSERS_STRETCHES if kind == "trousers" else _SHIRT_STRETCHES
     wanted = 2 * sum(name in OPENINGS for name in names)
     if pixels.shape != (wanted, 2):

@@ -26,17 +26,12 @@ class ShirtOutline:
     """Proportions of a shirt relative to its length from hem to neck, with sleeves of any length.
 
     Attributes:
-        body: width under the arms.
         waist: width at the hem relative to that under the arms.
         shoulder: distance of the sleeve's start from the middle, relative to half the width under
             the arms.
         slope: drop of the shoulder from the neck to the sleeve.
         armhole: distance from the end of the shoulder down to the armpit.
-        sleeve: length of the sleeve's upper edge.
         sleeve_angle_rad: angle of that edge below the horizontal [rad].
-        cuff: width of the sleeve's end.
-        neck: half the width of the neck.
-        front_depth, back_depth: depth of the neckline.
         hood: height of a hood that lies flat behind the neck; 0: there is none.
         hood_width: half the width of the hood where it is widest, at least `neck`.
     """
@@ -56,11 +51,7 @@ class ShirtOutline:
     hood_width: float = 0.2
 
     def spans(self, length_m: float, *, depth: float) -> list[Span]:
-        """Return the outline of one layer of a shirt of this length [m] with this neck depth.
-
-        Raises:
-            InvalidConfigError: the outline crosses itself.
-        """
+        """Return the outline of one layer of a shirt of this length [m] with this neck depth."""
         right = self._right(length_m)
         return shirt_spans(right, neckline(right, depth * length_m))
 
@@ -84,11 +75,7 @@ class ShirtOutline:
         return Span(points, sewn=True)
 
     def _right(self, length_m: float) -> Float[np.ndarray, "6 2"]:
-        """Return the right half [m], from the hem up to the neck.
-
-        Raises:
-            InvalidConfigError: it crosses itself.
-        """
+        """Return the right half [m], from the hem up to the neck."""
         top, half = 0.5 * length_m, 0.5 * self.body * length_m
         x, y = self.shoulder * half, top - self.slope * length_m
         out = np.array([np.cos(self.sleeve_angle_rad), -np.sin(self.sleeve_angle_rad)])
@@ -113,12 +100,7 @@ class ShirtOutline:
 
 
 def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> ShirtOutline:
-    """Draw random proportions of a shirt, a polo or a sweater.
-
-    Args:
-        rng: random generator.
-        long_sleeves: share of garments with long sleeves.
-    """
+    """Draw random proportions of a shirt, a polo or a sweater."""
 
     def draw() -> ShirtOutline:
         long = rng.random() < long_sleeves
@@ -192,12 +174,10 @@ class TrousersOutline:
     """Proportions of trousers relative to their length from cuffs to waist, with any leg length.
 
     Attributes:
-        waist: half the width of the waist.
         hip: half the width at the hips, halfway between waist and crotch.
         rise: distance from the waist down to the crotch.
         spread_rad: outward angle of a leg's center line [rad].
         thigh: width of a leg at the crotch.
-        cuff: width of a leg's end.
     """
 
     waist: float = 0.19
@@ -208,11 +188,7 @@ class TrousersOutline:
     cuff: float = 0.17
 
     def spans(self, length_m: float) -> list[Span]:
-        """Return the outline of one layer of trousers of this length [m], counterclockwise.
-
-        Raises:
-            InvalidConfigError: the outline crosses itself.
-        """
+        """Return the outline of one layer of trousers of this length [m], counterclockwise."""
         along = np.array([np.sin(self.spread_rad), -np.cos(self.spread_rad)])
         across = np.array([np.cos(self.spread_rad), np.sin(self.spread_rad)])
         crotch = np.array([0.0, 0.5 - self.rise])
@@ -238,12 +214,7 @@ class TrousersOutline:
 
 
 def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersOutline:
-    """Draw random proportions of trousers.
-
-    Args:
-        rng: random generator.
-        short: share of trousers with short legs.
-    """
+    """Draw random proportions of trousers."""
     # With short legs, waist and rise are large relative to the length.
     scale = rng.uniform(1.5, 2.2) if rng.random() < short else 1.0
     hip = scale * rng.uniform(0.22, 0.28)
@@ -298,7 +269,6 @@ def shirt_spans(right: Float[np.ndarray, "6 2"], neck: Span) -> list[Span]:
 
     Args:
         right: its right half [m]: hem, armpit, lower and upper end of the cuff, shoulder, neck.
-        neck: neckline, or seam of a hood, from the right end of the neck to the left one.
     """
     up, down = _both_sides(right, cuff=2)
     return [Span(np.stack([right[0] * (-1.0, 1.0), right[0]])), *up, neck, *down]
@@ -316,11 +286,7 @@ def _both_sides(
 
 
 def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
-    """Cut the outline of a shirt (`shirt_spans`) along its middle, from the neck to the hem.
-
-    Returns:
-        The outlines of the left and of the right half, counterclockwise; the cut is open.
-    """
+    """Cut the outline of a shirt (`shirt_spans`) along its middle, from the neck to the hem."""
     number = len(spans) // 2
     hem, up, neck, down = spans[0], spans[1:number], spans[number], spans[number + 1 :]
     middle = np.array([0.0, hem.points[0, 1]])

@@ -68,14 +68,8 @@ def silhouette(
     """Return the outline of the cloth in a mask.
 
     Args:
-        mask: pixels of the cloth.
         to_plane: maps pixels (column and row, centers at integers) to positions on the table [m],
             seen from above.
-        name: name of the picture in messages.
-
-    Raises:
-        InvalidRecordingError: there is no cloth, it is in two pieces, leaves the picture, or has a
-            hole.
     """
     filled = _whole_cloth(mask, name)
     margin = 4

@@ -36,8 +36,6 @@ class Piece:
 
     Attributes:
         points: vertices [m] in the plane.
-        faces: triangles, counterclockwise.
-        sewn: which vertices lie on a seam.
     """
 
     points: Float[np.ndarray, "vertices 2"]
@@ -95,9 +93,7 @@ def triangulate(spans: list[Span], spacing: float, seed: int) -> Piece:
     piece joins two sewn vertices, because sewing two layers would make that edge non-manifold.
 
     Args:
-        spans: the outline, counterclockwise; each span starts where the previous one ends.
         spacing: length of an edge [m].
-        seed: seed for the rotation and shift of the lattice.
     """
     samples = [span.resampled(spacing) for span in spans]
     outline = np.concatenate(samples)

@@ -10,11 +10,7 @@ from clothtrack.errors import InvalidConfigError
 def one_way(
     points_from: Float[np.ndarray, "points 3"], points_to: Float[np.ndarray, "others 3"]
 ) -> float:
-    """Return the mean squared distance [m^2] of each point to the nearest of the other points.
-
-    Raises:
-        InvalidConfigError: one of the sets is empty, so there is no nearest point.
-    """
+    """Return the mean squared distance [m^2] of each point to the nearest of the other points."""
     if not len(points_from) or not len(points_to):
         raise InvalidConfigError(
             f"Chamfer distance between {len(points_from)} and {len(points_to)} points; "

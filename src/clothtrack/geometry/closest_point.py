@@ -22,10 +22,6 @@ def closest_on_mesh(
     Args:
         points: query points [m].
         vertices: vertices of the mesh [m].
-        faces: vertex indices per triangle.
-
-    Returns:
-        The face, and non-negative weights of its three corners that sum to one.
     """
     middle = vertices.mean(axis=0)
     mesh = wp.Mesh(

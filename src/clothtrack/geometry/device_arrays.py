@@ -8,10 +8,6 @@ def overwrite(array: wp.array, values: np.ndarray) -> None:
     """Write values into an array; on a CPU without an intermediate copy.
 
     `wp.array.assign` first creates a temporary array, which takes longer than the copy.
-
-    Args:
-        array: an array of any type; its memory is kept.
-        values: values of the same shape, or one row (first axis) that is copied to all rows.
     """
     if wp.get_device(array.device).is_cpu:
         np.copyto(array.numpy(), values)

@@ -33,11 +33,7 @@ def device_names() -> list[str]:
 
 
 def require_device(name: str) -> None:
-    """Reject a device that this machine does not have.
-
-    Raises:
-        InvalidConfigError: the device does not exist; the message lists those that do.
-    """
+    """Reject a device that this machine does not have."""
     known = [device.alias for device in wp.get_devices()]
     if name not in known:
         raise InvalidConfigError(

@@ -30,7 +30,6 @@ class Contours:
         faces: index of the triangle that it passes through.
         along: position on the edge, 0 at its first vertex, 1 at its second.
         within: barycentric coordinates in the triangle.
-        normals: unit normal of the triangle.
         shortening: move of the edge relative to the triangle that shortens the contour: 2 m of
             contour per meter along its length.
         contour: index of the contour of the crossing.
@@ -67,7 +66,6 @@ class SelfIntersection:
 
     Args:
         mesh: the triangles; its vertex positions do not matter.
-        device: device of the search, "cpu" or "cuda:0".
     """
 
     def __init__(self, mesh: ClothMesh, *, device: str = "cpu") -> None:

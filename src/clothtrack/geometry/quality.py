@@ -28,10 +28,6 @@ def crossing_edges(
 
     Args:
         vertices: positions [m].
-        faces: vertex indices per triangle; triangles with a vertex that is not finite are skipped.
-
-    Returns:
-        The vertices of those edges, and of the triangles that they pass through.
     """
     known = np.isfinite(vertices).all(axis=1)
     faces = np.ascontiguousarray(faces[known[faces].all(axis=1)], np.int32)
@@ -73,7 +69,6 @@ def close_pairs(
 
     Args:
         vertices: positions [m].
-        faces: vertex indices per triangle.
         distance_m: pairs at or below this distance count [m].
     """
     count = len(vertices)

@@ -47,7 +47,6 @@ class TableFit:
         residual_m: root mean square distance of the inliers from the plane [m].
         inlier_share: share of the measurements without cloth that lie on the plane.
         cloth_excluded: whether the cloth was known and left out.
-        frames: number of frames used.
     """
 
     normal: Float[np.ndarray, " 3"]
@@ -77,9 +76,6 @@ def sight_lines(
 
     Args:
         depth_m: depth [m], 0 without a measurement.
-        camera: the camera.
-        stride: one of this many measured pixels is used.
-        offset: the first pixel used, so that several pictures give different pixels.
     """
     places = np.flatnonzero(depth_m > 0)[offset % stride :: stride]
     rows, columns = np.divmod(places, depth_m.shape[1])
@@ -97,11 +93,7 @@ def fit_plane(
     """Fit the dominant plane by random trials, then least squares over its inliers.
 
     Args:
-        sight: directions (x, y, 1) in the camera's frame.
         inverse: inverse depth along them [1/m].
-
-    Raises:
-        InvalidRecordingError: no plane dominates, or two do.
     """
     rng = np.random.default_rng(_SEED)
     plane = _dominant(sight, inverse, rng)
@@ -129,9 +121,6 @@ def world_from_table(camera: Camera, table: TableFit) -> Float[np.ndarray, "4 4"
 
     z is the table's normal, x is the camera's x axis projected onto the table, and the origin is
     the point of the table in the middle of the picture.
-
-    Raises:
-        InvalidRecordingError: the middle of the picture does not show the table.
     """
     middle = np.array(
         [

@@ -34,10 +34,6 @@ class Rasterizer:
     Args:
         faces: vertex indices per triangle; drawn from both sides.
         camera: the camera; pixel centers at integers.
-        device: Warp device, "cpu" or "cuda:0".
-
-    Raises:
-        InvalidConfigError: there is no face to draw.
     """
 
     def __init__(
@@ -107,14 +103,9 @@ class VisibilityCheck:
     smaller than the distance of two layers of cloth that lie on each other.
 
     Args:
-        faces: vertex indices per triangle.
         cameras: one or more cameras. A small image (`Camera.resized`) is fast and usually enough;
             its pixels should not be larger than the mesh's edges.
         tolerance_m: how much deeper than the surface a visible vertex may lie [m].
-        device: Warp device, "cpu" or "cuda:0".
-
-    Raises:
-        InvalidConfigError: there is no face, no camera or a negative tolerance.
     """
 
     def __init__(

@@ -69,7 +69,6 @@ class GrowingRecording:
 
     Attributes:
         recording: the recording so far; its paths begin with the latest action.
-        paths: whole paths, by the picker's name.
         zero_s: start of the recording on the caller's clock [s]; 0 before it begins.
     """
 
@@ -94,11 +93,7 @@ class GrowingRecording:
         return float(time_s) - self.zero_s
 
     def next_time(self, time_s: float) -> float:
-        """Return the time of the next frame since the start [s].
-
-        Raises:
-            InvalidRecordingError: the time does not increase.
-        """
+        """Return the time of the next frame since the start [s]."""
         at_s, frames = self.since_start(time_s), self._frames
         if not np.isfinite(at_s) or (frames and not at_s > frames[-1].time_s):
             raise InvalidRecordingError(
@@ -115,12 +110,6 @@ class GrowingRecording:
         Args:
             at_s: time since the start [s].
             picker: position of each tip in the world [m], and whether it is closed.
-
-        Returns:
-            Notes about rejected samples.
-
-        Raises:
-            InvalidRecordingError: a position is not three finite numbers.
         """
         notes = []
         for name, (position, closed) in picker.items():
@@ -135,11 +124,7 @@ class GrowingRecording:
         return notes
 
     def find_table(self) -> None:
-        """Find the table in the first picture, and the world frame if the camera has no pose.
-
-        Raises:
-            InvalidRecordingError: there is no dominant plane.
-        """
+        """Find the table in the first picture, and the world frame if the camera has no pose."""
         (camera,) = self.recording.cameras
         fit = fit_recorded_table(self.recording, camera)
         if np.array_equal(camera.world_from_camera, np.eye(4)):

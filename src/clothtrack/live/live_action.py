@@ -47,12 +47,7 @@ class HurriedCloth(HeldCloth):
 
 
 class LiveAction:
-    """Tracker of the action in progress, the latest of its recording.
-
-    Attributes:
-        state: current state of the cloth.
-        tracked_frame: last tracked frame.
-    """
+    """Tracker of the action in progress, the latest of its recording."""
 
     def __init__(
         self,
@@ -117,11 +112,7 @@ class LiveAction:
         self._held = self._components.pick(span, self._start, self._theta)
 
     def step(self, frame: Frame) -> None:
-        """Track the cloth into the next frame.
-
-        Raises:
-            InvalidRecordingError: no cloth is found in the frame.
-        """
+        """Track the cloth into the next frame."""
         grasps = self._grasps(self._growing.recording.picker_paths)
         if frame.index > self._tracked.frame.index + 1:
             grasps = HurriedCloth(grasps.grasps, grasps.offset)
@@ -155,11 +146,7 @@ class LiveAction:
         self._growing.change_action(self._place, last_frame=last)
 
     def end(self, last: Frame) -> tuple[Theta, State] | None:
-        """End the action with a tracked frame, and run its final alignment (TTO2).
-
-        Returns:
-            The start of the next action; None if nothing happened and the action was removed.
-        """
+        """End the action with a tracked frame, and run its final alignment (TTO2)."""
         count = last.index - self._first.index
         if count == 0:
             self._growing.drop_action(self._place)

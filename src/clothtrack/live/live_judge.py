@@ -62,11 +62,7 @@ class LiveJudge:
 
     @property
     def latest(self) -> Judgment:
-        """The last judgment.
-
-        Raises:
-            Exception: the judgment failed.
-        """
+        """The last judgment."""
         if self._busy is not None and self._busy.done():
             self._latest, self._busy = self._busy.result(), None
         return self._latest
@@ -79,7 +75,6 @@ class LiveJudge:
         Args:
             time_s: time of its picture [s].
             positions: vertices [m].
-            seen: observation of its picture.
         """
         if self._busy is not None or time_s - self._asked_s < EVERY_S:
             return

@@ -27,13 +27,8 @@ class LiveParts:
 
     Attributes:
         components: components shared by the functions of the method.
-        method: the functions of Algorithm 1.
         state: the cloth between actions; during an action, at its beginning.
-        theta: parameters of the cloth.
-        recorder: recorder of the tracked states.
-        judge: judge of the live mesh.
         gap_m: distance of the first mesh from its cloud [m].
-        origin: source of the first mesh.
         begun_anew: frames at which a new mesh replaced a lost one, with its source.
     """
 
@@ -69,20 +64,7 @@ class LiveParts:
         force: bool,
         watch: Watch | None,
     ) -> "LiveParts":
-        """Find the first mesh in the first picture, and create the method for it.
-
-        Args:
-            recording: the recording so far.
-            config: the settings.
-            observe: function that returns the cloud of a frame.
-            segmenter: segmentation of the cloth; the recording's own by default.
-            device: "cpu" or "cuda:0".
-            force: whether to accept a mesh that is too far from its cloud.
-            watch: callback with every mesh.
-
-        Raises:
-            InvalidRecordingError: there is no first mesh, or it is too far from its cloud.
-        """
+        """Find the first mesh in the first picture, and create the method for it."""
         first, gap_m = checked_initial_state(
             recording, observe(recording.frames[0]), config.initial_state, segmenter=segmenter,
             device=device, force=force,

@@ -18,13 +18,6 @@ def play(recording: Recording, stream: LiveStream) -> None:
 
     Actions begin and end as in the recording, or with the gripper if the recording has none. The
     first picture is processed before the others start because the first mesh takes longest.
-
-    Args:
-        recording: recording with depth of its first camera.
-        stream: stream that receives the pictures; each is read from disk ahead of its time.
-
-    Raises:
-        InvalidRecordingError: a picture cannot be read.
     """
     camera = recording.cameras[0].name
     unit_m = recording.depth_units_m[camera]

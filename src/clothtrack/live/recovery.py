@@ -54,13 +54,7 @@ class Recovery:
     def __init__(
         self, config: InitialStateConfig, segmenter: Segmenter | None, device: str
     ) -> None:
-        """Set the network and the segmentation.
-
-        Args:
-            config: initial-state settings with the network's weights.
-            segmenter: segmentation of the cloth; the recording's own by default.
-            device: "cpu" or "cuda:0".
-        """
+        """Set the network and the segmentation."""
         self._config = replace(config, source="network", template="")
         self._segmenter, self._device = segmenter, device
         self._pool: ProcessPoolExecutor | None = None
@@ -121,10 +115,7 @@ class Recovery:
         """Return the network's mesh if it is nearer to the cloud, or why it is rejected.
 
         Args:
-            answer: the network's mesh of an earlier picture.
-            mesh: the flat tracked cloth.
             positions: its tracked vertices [m].
-            seen: the cloud of the newest picture.
         """
         canonical = answer.mesh.canonical
         if mesh.canonical is None or canonical is None or answer.positions is None:

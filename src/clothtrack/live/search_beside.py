@@ -35,9 +35,7 @@ class Asked:
 
     Attributes:
         number: number of the action among the stored ones.
-        frames: frames in which it was tracked.
         question: the question without its clouds, which are in `log`.
-        log: observations of the action.
     """
 
     number: int
@@ -103,11 +101,7 @@ class SearchBeside:
         self._questions.put(asked)
 
     def answers(self, *, wait: bool) -> Iterator[tuple[Asked, Answer | str]]:
-        """Yield the new answers in the order of the actions.
-
-        Yields:
-            The action, and its answer or the reason why there is none.
-        """
+        """Yield the new answers in the order of the actions."""
         while self._waiting:
             answer: Answer | str = self._lost
             if not answer:

@@ -46,10 +46,7 @@ class Setup:
     Attributes:
         recording: cameras, table and cloth, with the first frame.
         mesh: the flat cloth in the world [m].
-        config: the settings.
         start: vertices at the first frame [m]; None if the cloth lies flat there.
-        seen: the cloud of the first frame.
-        device: "cpu" or "cuda:0".
     """
 
     recording: Recording
@@ -62,13 +59,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Start of an action.
-
-    Attributes:
-        state: state of the cloth.
-        theta: parameters of the cloth.
-        bound: followed points (`FeatureAnchors`).
-    """
+    """Start of an action."""
 
     state: State
     theta: Theta
@@ -82,9 +73,7 @@ class Question:
     Attributes:
         times_s: times of the frames [s].
         rests: whether the pictures did not change, per frame.
-        seen: clouds of the frames, packed (`SeenLog`).
         pickers: names of the pickers of the action.
-        paths: paths of all pickers.
         start: start of the action; None: the end of the last answer.
         known: candidate that was tracked live from this start; None if there is none.
     """
@@ -103,10 +92,7 @@ class Answer:
     """Result of a search.
 
     Attributes:
-        best: the chosen candidate.
-        end: start of the next action.
         losses: objective [m^2] before and after the final alignment.
-        calibration: record of the search.
         began_at: vertices at the beginning of the action [m].
     """
 

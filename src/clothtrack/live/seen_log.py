@@ -37,7 +37,6 @@ class SeenLog:
     """Clouds of the tracked frames of an action, without the pictures.
 
     Attributes:
-        frames: number of each frame.
         times_s: time of each frame [s].
         rests: whether the cloth was at rest in each frame.
     """

@@ -92,7 +92,6 @@ class ActionSpace(Checked):
         lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
         edges: share of picks drawn near edges and corners; the others are anywhere on visible
             cloth, as in the reference code.
-        workspace: allowed region of the tip.
     """
 
     distance_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.05, 0.2)
@@ -150,11 +149,7 @@ def pick_weights(
 
     Args:
         cloud: visible points [m].
-        flat: the garment's rest shape; None: only edges of the cloud count.
         positions: estimated positions of its vertices [m].
-
-    Returns:
-        Weights that sum to one.
     """
     weights = np.maximum(edge_measure(cloud) ** 2, _LEAST_WEIGHT)
     if flat is not None and positions is not None:
@@ -174,16 +169,7 @@ def sample_actions(
     *,
     weights: Float[np.ndarray, " points"] | None = None,
 ) -> list[PickPlace]:
-    """Sample pick-and-places within all limits; fewer than `count` if few are possible.
-
-    Args:
-        seen: the visible cloth.
-        count: number of actions.
-        space: settings of the actions.
-        rng: random generator.
-        weights: probability of each point for picks near edges (`pick_weights`); None: from the
-            cloud alone.
-    """
+    """Sample pick-and-places within all limits; fewer than `count` if few are possible."""
     cloud = seen.cloud
     weights = pick_weights(cloud) if weights is None else weights
     middle = cloud[:, :2].mean(axis=0)
@@ -217,11 +203,9 @@ def within_limits(
     """Return the pick-and-places within all limits, with the height of the place.
 
     Args:
-        seen: the visible cloth.
         picks: positions where the gripper closes [m].
         places: positions where it opens, in the plane of the table [m].
         lifts_m: height of each path over the straight line [m].
-        space: the limits.
     """
     # Noise puts points of flat cloth below the table, where the gripper must not go.
     picks = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], seen.table_height_m)])

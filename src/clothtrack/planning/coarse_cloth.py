@@ -53,8 +53,6 @@ class Coarsener:
 
         Args:
             flat: the fine garment at rest [m], with canonical coordinates.
-            kind: kind of garment.
-            config: resolution of the coarse mesh.
         """
         config = config or CoarseConfig()
         self._faces = flat.faces

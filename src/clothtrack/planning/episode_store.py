@@ -36,23 +36,12 @@ PACKAGES = ("numpy", "scipy", "warp-lang", "mujoco-core", "torch")
 
 
 class EpisodeStore:
-    """Reader and writer of the parts of one episode.
-
-    Attributes:
-        folder: folder of the episode.
-        document: `episode.json` as it is now.
-    """
+    """Reader and writer of the parts of one episode."""
 
     def __init__(
         self, folder: Path, asked: Mapping[str, Any], *, weights: Mapping[str, Path] | None = None
     ) -> None:
-        """Begin an episode, or resume the one in the folder.
-
-        Raises:
-            InvalidConfigError: the folder holds an episode with other settings.
-            InvalidResultError: its document is damaged.
-            StorageError: the disk refuses.
-        """
+        """Begin an episode, or resume the one in the folder."""
         self.folder = Path(folder)
         path = self.folder / DOCUMENT
         if not path.exists():
@@ -86,11 +75,7 @@ class EpisodeStore:
         return self.document["status"] != "running"
 
     def write(self) -> None:
-        """Write `episode.json`, whole or not at all.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
+        """Write `episode.json`, whole or not at all."""
         write_file(self.folder / DOCUMENT, json.dumps(self.document, indent=1).encode())
 
     def recording_path(self, step: int) -> Path:
@@ -98,22 +83,14 @@ class EpisodeStore:
         return self.folder / "steps" / f"{step:02d}"
 
     def clear_after(self, step: int) -> None:
-        """Remove the files of steps after this one, which were never finished.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
+        """Remove the files of steps after this one, which were never finished."""
         with storage(self.folder):
             for path in sorted((self.folder / "steps").glob("*")):
                 if path.name.startswith(".") or int(path.name) > step:
                     shutil.rmtree(path)
 
     def add_estimate(self, step: int, estimate: Estimate) -> None:
-        """Write the estimate after a step, whole or not at all.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
+        """Write the estimate after a step, whole or not at all."""
         arrays = {
             "sources": np.array([estimate.source]),
             "flat_0": estimate.flat.vertices,
@@ -131,9 +108,6 @@ class EpisodeStore:
         """Return the estimate after a step; None if there is none.
 
         If an episode was planned from several estimates, return the first.
-
-        Raises:
-            InvalidResultError: the file is damaged.
         """
         path = self.folder / "estimates" / f"{step:02d}.npz"
         if not path.exists():
@@ -151,12 +125,7 @@ class EpisodeStore:
             ) from error
 
     def joined(self, out: Path, provenance: Mapping[str, Any]) -> Path:
-        """Write all steps as one recording for the tracker, unless it exists.
-
-        Raises:
-            InvalidRecordingError: a step cannot be read.
-            StorageError: the disk refuses.
-        """
+        """Write all steps as one recording for the tracker, unless it exists."""
         if (out / "recording.json").exists():
             return out
         parts = [read_recording(self.recording_path(step)) for step in range(len(self.steps))]
@@ -195,20 +164,7 @@ def write_step(
     execution: Execution | None = None,
     provenance: Mapping[str, object] | None = None,
 ) -> Recording:
-    """Write one step as a recording and read it back.
-
-    Args:
-        folder: folder of the recording.
-        frames: its pictures, in order of time, the last one without the arm.
-        cloth: known properties of the cloth.
-        table: table that it lies on.
-        execution: action in the recording; None: there is none.
-        provenance: origin of the recording.
-
-    Raises:
-        InvalidRecordingError: the robot's data are not a valid recording.
-        StorageError: the disk refuses.
-    """
+    """Write one step as a recording and read it back."""
     camera = frames[0].camera
     with RecordingWriter(
         folder, [camera], {camera.name: _DEPTH_UNIT_M}, table=table, cloth=cloth,

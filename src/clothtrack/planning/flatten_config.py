@@ -58,11 +58,7 @@ def weights_used(config: FlattenConfig) -> dict[str, Path]:
 
 
 def episode_identity(config: FlattenConfig) -> dict[str, Any]:
-    """Return the identity of an episode; files enter by content hash, not by name.
-
-    Raises:
-        StorageError: a weights file or a template cannot be read.
-    """
+    """Return the identity of an episode; files enter by content hash, not by name."""
     settings = asdict(config)
     if config.perception.template:
         settings["perception"]["template"] = content_hash(Path(config.perception.template))
@@ -72,11 +68,7 @@ def episode_identity(config: FlattenConfig) -> dict[str, Any]:
 
 
 def _learned_dynamics(name: str) -> LearnedDynamics:
-    """Return the learned dynamics that an installed package registers under a name.
-
-    Raises:
-        InvalidConfigError: no installed package has them.
-    """
+    """Return the learned dynamics that an installed package registers under a name."""
     for found in entry_points(group="clothtrack.dynamics", name=name):
         return found.load()
     raise InvalidConfigError(
@@ -86,12 +78,7 @@ def _learned_dynamics(name: str) -> LearnedDynamics:
 
 
 def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynamics:
-    """Return the configured dynamics; only the learned ones import PyTorch.
-
-    Raises:
-        InvalidConfigError: the learned dynamics are requested, but [learn] is not installed.
-        InvalidResultError: the weights are missing, damaged or of another kind.
-    """
+    """Return the configured dynamics; only the learned ones import PyTorch."""
     if config.dynamics == "mesh":
         learned = _learned_dynamics("mesh")
         missing = missing_modules()

@@ -64,8 +64,6 @@ class EpisodeScene:
     """Constants of an episode.
 
     Attributes:
-        cloth: known properties of the cloth.
-        table: table that it lies on.
         flat_area_m2: area that the flat garment covers [m^2]; None: taken from the estimates.
     """
 
@@ -101,19 +99,7 @@ class Flattening:
         """Assemble the episode.
 
         Args:
-            robot: acts and takes pictures.
-            scene: cloth and table.
-            config: settings of the episode.
-            perception: estimator of the cloth; a policy without a mesh needs none.
-            dynamics: dynamics of the planner.
-            propose: the policy, if it is not "planned".
-            seed: seed of the sampled actions.
             score: true coverage [m^2] of a simulated robot; recorded and never used.
-            checkpoint: storage of the world for resuming the episode.
-
-        Raises:
-            InvalidConfigError: the policy is "planned" without perception or dynamics, or another
-                policy without `propose`.
         """
         is_planned = config.policy == "planned"
         if is_planned and (perception is None or dynamics is None):
@@ -134,20 +120,7 @@ class Flattening:
     def run(
         self, folder: Path, *, watch: Watch | None = None, progress: Progress | None = None
     ) -> EpisodeStore:
-        """Run the episode, or resume it where it stopped; leave a finished one unchanged.
-
-        Args:
-            folder: folder of the episode (`EpisodeStore`).
-            watch: called after every step.
-            progress: called with every action and its current phase.
-
-        Returns:
-            The episode on disk.
-
-        Raises:
-            InvalidConfigError: the folder holds another episode.
-            InvalidRecordingError: the first picture shows no cloth.
-        """
+        """Run the episode, or resume it where it stopped; leave a finished one unchanged."""
         # The truth is an upper bound that no camera can reach, so it is labeled a control.
         name = "none" if self._perception is None else self._config.perception.name
         label = {"perception": name, "control": name == "truth"}
@@ -313,15 +286,7 @@ def _step_row(
 
 
 def improvement(steps: Sequence[dict[str, Any]], key: str = "true_m2") -> list[float]:
-    """Return the normalized improvement per step: (c - c0) / (c_flat - c0) (Sec. IV-B.2).
-
-    Args:
-        steps: rows of an episode.
-        key: "true_m2", or "seen_m2" if there is no truth.
-
-    Raises:
-        InvalidRecordingError: the coverage or the flat area is unknown.
-    """
+    """Return the normalized improvement per step: (c - c0) / (c_flat - c0) (Sec. IV-B.2)."""
     first = steps[0]
     flat, start = first["flat_m2"], first[key]
     if flat is None or start is None:

@@ -55,7 +55,6 @@ class Estimate:
     Attributes:
         flat: the garment at rest, on the table [m]; canonical coordinates filled.
         positions: estimated vertex positions [m].
-        source: "network", or "control: truth".
         expected_error_m: mean vertex error predicted by the network [m]; None if there is no
             prediction.
         opposite: vertex positions with the layers in the opposite order [m], if that order is
@@ -82,11 +81,7 @@ class NetworkPerception:
     """Perception by the network, from the last picture. Needs [learn] and weights."""
 
     def __init__(self, kind: str, config: PerceptionConfig, *, device: str = "cpu") -> None:
-        """Load the networks.
-
-        Raises:
-            InvalidResultError: there are no weights, or none for this garment.
-        """
+        """Load the networks."""
         from clothtrack.reconstruction.model_loading import load_model
 
         self._kind, self._config, self._device = kind, config, device
@@ -95,11 +90,7 @@ class NetworkPerception:
         self._template = read_template(Path(config.template)) if config.template else None
 
     def perceive(self, recording: Recording) -> Estimate:
-        """Reconstruct the cloth from the last picture alone.
-
-        Raises:
-            InvalidRecordingError: the picture shows no cloth, or the network makes no mesh.
-        """
+        """Reconstruct the cloth from the last picture alone."""
         from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
         from clothtrack.reconstruction.depth_input import DepthInput
         from clothtrack.reconstruction.first_mesh import laid_flat
@@ -150,13 +141,7 @@ def perception_of(
     true_cloth: TrueCloth | None = None,
     device: str = "cpu",
 ) -> Perception:
-    """Return the configured perception; `true_cloth` is for the control only.
-
-    Raises:
-        InvalidConfigError: the control is requested without a truth, or the network without its
-            extra or GPU.
-        InvalidResultError: there are no weights, or none for this garment.
-    """
+    """Return the configured perception; `true_cloth` is for the control only."""
     if config.name == "truth":
         if true_cloth is None:
             raise InvalidConfigError(

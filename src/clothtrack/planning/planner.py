@@ -54,7 +54,6 @@ class Hypothesis:
     Attributes:
         flat: the garment at rest [m], with canonical coordinates.
         positions: current vertex positions [m], world frame.
-        kind: kind of garment.
         opposite: vertex positions with the layers in the opposite order [m], if that order is
             equally likely; otherwise None.
     """

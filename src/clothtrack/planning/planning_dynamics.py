@@ -59,7 +59,6 @@ class LearnedDynamics:
 
     Attributes:
         load: function that loads them from a weights file, on a device.
-        shipped: weights file shipped with the package.
         extra: extra that the package needs besides tracking, such as "learn".
     """
 
@@ -131,7 +130,6 @@ class HeldPaths:
     Attributes:
         vertices: held vertex per candidate; -1 holds nothing.
         targets: its position [m] after each time step; constant after the release.
-        steps: time steps until each candidate releases.
     """
 
     vertices: np.ndarray

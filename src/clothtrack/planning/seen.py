@@ -24,9 +24,6 @@ def seen_area(recording: Recording, frame: Frame) -> float:
 
     The area is the sum over cloth pixels of their area on the table. Cloth above the table hides
     a little more than it covers.
-
-    Raises:
-        InvalidRecordingError: there is no table, no depth picture, or no cloth in it.
     """
     if recording.table is None:
         raise InvalidRecordingError(

@@ -50,8 +50,6 @@ def align(
     Args:
         observed: observed points [m], world, z up.
         canonical: canonical positions of the points [m].
-        weights: confidence of each canonical position, not negative. If all are 0, the points are
-            weighted equally.
     """
     share = weights if weights.sum() > 0 else np.ones(len(weights))
     share = share / share.sum()

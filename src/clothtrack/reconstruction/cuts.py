@@ -39,10 +39,7 @@ class KnownGarment:
     """A garment of known cut and size, with its tokens and its fit.
 
     Attributes:
-        cut: name of the cut.
         mesh: the flat garment, canonical coordinates filled [m].
-        tokens: tokens of the mesh.
-        device: device for rendering.
     """
 
     cut: str
@@ -52,11 +49,7 @@ class KnownGarment:
 
     @classmethod
     def of(cls, mesh: ClothMesh, cut: str = "template", *, device: str = "cpu") -> "KnownGarment":
-        """Return a garment from its flat mesh.
-
-        Raises:
-            InvalidConfigError: the mesh has no canonical coordinates.
-        """
+        """Return a garment from its flat mesh."""
         return cls(cut, mesh, GarmentTokens.of(mesh), device)
 
     @cached_property
@@ -88,12 +81,7 @@ class KnownGarment:
 
 @lru_cache(maxsize=8)
 def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
-    """Return the garments of a kind that a search starts from; the longer side is 1 m.
-
-    Args:
-        kind: "towel", "tshirt" or "trousers".
-        vertex_count: approximate vertex count of each mesh.
-    """
+    """Return the garments of a kind that a search starts from; the longer side is 1 m."""
     makers: dict[str, Callable[..., ClothMesh]] = {}
     if kind == "towel":
         for aspect in TOWEL_ASPECTS:
@@ -116,10 +104,7 @@ def sized(
     """Return a garment of a given size; for trousers, the cut with the most similar proportions.
 
     Args:
-        kind: "towel", "tshirt" or "trousers".
         size_m: width and length of the flat garment [m].
-        vertex_count: approximate vertex count of the mesh.
-        device: device for rendering.
     """
     if kind != "trousers":
         mesh = garment(kind, vertex_count=vertex_count, size_m=size_m)
@@ -135,13 +120,7 @@ def _apart(size_m: tuple[float, float], cut: KnownGarment) -> float:
 
 
 def finer(coarse: KnownGarment, kind: str, vertex_count: int) -> KnownGarment:
-    """Return the same garment with more vertices.
-
-    Args:
-        coarse: one of `cuts`, resized.
-        kind: its kind.
-        vertex_count: approximate vertex count of the mesh.
-    """
+    """Return the same garment with more vertices."""
     if kind == "towel":
         mesh = garment(kind, vertex_count=vertex_count, size_m=coarse.size_m)
         return KnownGarment.of(mesh, coarse.cut, device=coarse.device)

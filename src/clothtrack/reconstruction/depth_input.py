@@ -46,8 +46,6 @@ class DepthInput:
         depth_m: measured depth [m]; 0 where nothing was measured.
         mask: pixels where cloth was measured.
         camera: camera that took the picture; world z up.
-        table: table that the cloth lies on.
-        kind: kind of garment, if known.
         size_m: width and length of the garment [m], if known.
         table_source: source of the camera pose over the table: the recording states it, a plane is
             fitted to the depth, or the camera is assumed to look straight down.
@@ -90,12 +88,7 @@ class DepthInput:
 
 
 def from_recording(folder: Path, frame: int) -> DepthInput:
-    """Read a frame of a recording.
-
-    Raises:
-        InvalidRecordingError: it cannot be read, has no such frame, or the frame has neither depth
-            nor a cloud.
-    """
+    """Read a frame of a recording."""
     recording = read_recording(folder)
     if not 0 <= frame < len(recording.frames):
         raise InvalidRecordingError(
@@ -116,13 +109,7 @@ def from_cloud(
     """Render points of a cloth [m], world, z up, as measured by a camera straight above.
 
     Args:
-        points: points of one camera, or merged points of several.
-        table: horizontal table that the cloth lies on or is held over.
-        kind: kind of garment, if known.
         size_m: width and length of the garment [m], if known.
-
-    Raises:
-        InvalidRecordingError: there are too few points.
     """
     depth, mask, camera = cloud_picture(points)
     return DepthInput(depth, mask, camera, table, kind, size_m)
@@ -140,18 +127,10 @@ def from_picture(
     """Read a 16-bit depth picture of a camera that looks down on a table.
 
     Args:
-        path: PNG file.
-        mask: mask picture of the cloth; when None, what rises above the table is cloth.
-        depth_unit_m: meters per unit of the file.
         focal: focal length [pixels]; that of a usual camera when None.
         principal_point: column and row [pixels]; the middle of the picture when None.
         table_distance_m: distance to the table of a camera that looks straight down [m]; when
             None, the table's plane is fitted to the depth (`from_depth`).
-
-    Raises:
-        InvalidRecordingError: a file cannot be read, sizes differ, nothing was measured, or no
-            plane is the table.
-        InvalidConfigError: a number that must be positive is not.
     """
     _require_positive(depth_unit=depth_unit_m)
     depth = read_depth(path, depth_unit_m)
@@ -183,16 +162,9 @@ def from_depth(
 
     Args:
         depth: measured depth [m]; 0 where nothing was measured.
-        name: name for messages.
-        mask: as for `from_picture`, like the arguments below.
         focal: focal length [pixels].
         principal_point: column and row [pixels].
         table_distance_m: distance to the table of a camera that looks straight down [m].
-
-    Raises:
-        InvalidRecordingError: the mask cannot be read, sizes differ, nothing was measured, no
-            plane dominates, or two do.
-        InvalidConfigError: a number that must be positive is not.
     """
     _require_positive(focal=focal, table_distance=table_distance_m)
     height, width = depth.shape

@@ -71,10 +71,8 @@ class Design:
     Nothing is imported before one of the functions is called.
 
     Attributes:
-        name: name of the design.
         networks: names of its sizes, for `clothtrack pretrain --network`.
         extra: extra of clothtrack that the design needs.
-        modules: modules that the extra installs.
         recognizes: function that tells whether weights belong to this design.
         load: function that makes a `Reconstructor` from weights, a kind of garment and a device.
         configuration: function that makes the training settings, a frozen dataclass, from the name

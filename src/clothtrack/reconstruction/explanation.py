@@ -70,8 +70,6 @@ class Explainer:
 
     Args:
         rest: the flat garment [m].
-        cloth: the observed cloth.
-        device: "cpu" or "cuda:0".
     """
 
     def __init__(self, rest: ClothMesh, cloth: SeenCloth, *, device: str = "cpu") -> None:

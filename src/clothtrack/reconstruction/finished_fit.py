@@ -31,14 +31,6 @@ def finished(
     The garment is fitted, its layers are put in the order that the network predicts, and crossings
     are untangled. Untangling moves visible vertices, so the cloth is attracted to the picture once
     more, with layers in their current order, and the last crossings are untangled gently.
-
-    Args:
-        fit: fit of the garment.
-        guide: the network's prediction.
-        cloth: the observed cloth.
-        table: table that the cloth lies on.
-        opposite: reverse the layer order that the network predicts.
-        device: "cpu" or "cuda:0".
     """
     apart = Untangler(fit.rest, device=device)
     order_m = -guide.places[:, 2] if opposite else guide.places[:, 2]

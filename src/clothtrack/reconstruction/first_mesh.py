@@ -26,9 +26,6 @@ def symmetries(kind: str) -> Float[np.ndarray, "symmetries 3"]:
     cloth is a garment of the same category. Depth cannot distinguish them.
 
     A towel has its longer side along x, so a quarter turn is not among them.
-
-    Raises:
-        InvalidConfigError: for a category without a canonical pose.
     """
     if kind not in _SYMMETRIES:
         raise InvalidConfigError(
@@ -48,9 +45,7 @@ def front_up(
     is cut deeper, as at the neck, the vertex is extrapolated beyond the edge.
 
     Args:
-        mesh: the garment, canonical coordinates filled.
         positions: vertex positions in the world [m], z up.
-        kind: "towel" or "tshirt".
     """
     canonical, faces = np.asarray(mesh.canonical, np.float64), mesh.faces
     outward = np.sign(_upward_area(canonical, faces))
@@ -106,7 +101,6 @@ def laid_flat(
     Args:
         rest: the flat garment in its own frame [m].
         positions: vertex positions of the cloth in the world [m].
-        table: horizontal table.
         height_m: height of the lowest vertices above the table [m].
     """
     flat = rest.vertices.astype(np.float64)

@@ -55,20 +55,7 @@ class FlatFit:
 def flat_fit(
     recording: Recording, observation: Observation, *, template: str = "", vertex_count: int = 1000
 ) -> FlatFit:
-    """Fit a flat garment to a cloud, whether or not the recording has a template.
-
-    Args:
-        recording: recording that states the kind of cloth and the table.
-        observation: cloud of the first frame, flat cloth.
-        template: file of the garment's own flat mesh; if empty, a garment of the recording's kind
-            is made.
-        vertex_count: approximate vertex count of a garment of the recording's kind.
-
-    Raises:
-        InvalidRecordingError: the kind has no outline, the table is missing, or the cloud has too
-            few points.
-        InvalidMeshError: the template is larger than any garment.
-    """
+    """Fit a flat garment to a cloud, whether or not the recording has a template."""
     if not template and recording.cloth.kind not in FITTED_KINDS:
         raise InvalidRecordingError(
             f"{recording.folder}: cloth.kind is {recording.cloth.kind!r} and there is no template; "

@@ -37,7 +37,6 @@ class FlatPicture:
     Attributes:
         outline: outline of the garment on the table [m].
         shown: picture to draw on, RGB.
-        name: name for messages.
     """
 
     outline: Silhouette
@@ -46,12 +45,7 @@ class FlatPicture:
 
 
 def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
-    """Read a frame of a recording in which the garment lies flat.
-
-    Raises:
-        InvalidRecordingError: it cannot be read, has no table, depth or cloth there, or the cloth
-            is not flat.
-    """
+    """Read a frame of a recording in which the garment lies flat."""
     recording = read_recording(folder)
     if not 0 <= frame < len(recording.frames):
         raise InvalidRecordingError(
@@ -72,12 +66,7 @@ def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
 
 
 def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> FlatPicture:
-    """Read a 16-bit depth picture; `of_picture` as for `depth_input.from_picture`.
-
-    Raises:
-        InvalidRecordingError: a file cannot be read, or the cloth is not flat.
-        InvalidConfigError: the extra [learn], which reads single depth pictures, is missing.
-    """
+    """Read a 16-bit depth picture; `of_picture` as for `depth_input.from_picture`."""
     if missing := missing_modules():
         raise InvalidConfigError(
             f"{path}: a single depth picture needs {', '.join(missing)}; install with: "
@@ -100,14 +89,7 @@ def flat_color(path: Path, meters_per_pixel: float, *, mask: Path | None = None)
     """Read a color picture or a mask of a camera that looks straight down.
 
     Args:
-        path: PNG; a gray picture is the mask itself, in a color picture the garment is what differs
-            in color from the rim.
         meters_per_pixel: size of a pixel on the table [m].
-        mask: mask picture of the garment.
-
-    Raises:
-        InvalidRecordingError: a file cannot be read, or sizes differ.
-        InvalidConfigError: the scale is not positive.
     """
     if not 0.0 < meters_per_pixel < 0.1:
         raise InvalidConfigError(

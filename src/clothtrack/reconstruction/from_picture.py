@@ -47,7 +47,6 @@ class Reconstruction:
     Attributes:
         mesh: the garment in the world [m], canonical coordinates filled; None if there is none.
         status: "template", "surface", or why there is no mesh.
-        camera: virtual camera of the network's picture.
         canonical_image: canonical position [m] of each pixel of cloth; NaN elsewhere.
         confidence: confidence of that position, of its least certain axis, 0 to 1; 0 where there is
             no cloth.
@@ -178,14 +177,7 @@ def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) 
 def figures_of(
     result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput", agreement: Agreement
 ) -> dict[str, Any]:
-    """Return the reported figures of a reconstruction, ready for JSON.
-
-    Args:
-        result: the reconstruction.
-        mesh: its mesh.
-        picture: picture that it was made from.
-        agreement: agreement of the mesh with the picture.
-    """
+    """Return the reported figures of a reconstruction, ready for JSON."""
     reconstruction, refinement = result.reconstruction, result.refinement
     chamfer_m2 = () if refinement is None else refinement.chamfer_m2
     return {

@@ -104,7 +104,6 @@ class IsometricFit:
 
     Args:
         rest: the flat garment, canonical coordinates filled [m].
-        device: device of the visibility check.
     """
 
     def __init__(self, rest: ClothMesh, *, device: str = "cpu") -> None:
@@ -133,10 +132,6 @@ class IsometricFit:
         """Return the garment's vertices [m] fitted to the network's prediction and the picture.
 
         Args:
-            guide: the network's prediction.
-            cloth: the observed cloth.
-            edges: weight of the edge lengths in each round.
-            layered: keep overlapping layers in their order.
             order_m: heights that decide which layer is on top [m]; the network's by default.
         """
         names = _Names.of(guide, self.rest)
@@ -171,9 +166,7 @@ class IsometricFit:
 
         Args:
             vertices: current positions [m].
-            cloth: the observed cloth.
             size_m: longer side of the flat garment [m].
-            edges: weight of the edge lengths in each round.
         """
         for edge in edges:
             drawn = self._drawn(vertices, cloth, REACH * size_m)
@@ -195,8 +188,6 @@ class IsometricFit:
             vertices: current positions [m].
             order_m: heights that decide which layer is on top [m].
             table_m: height of the table [m].
-            keep: weight of the current heights.
-            votes: votes on the order (`layer_order.LayerOrder.find`).
         """
         self.layers.find(vertices, order_m, votes=votes)
         given = vertices[:, 2]

@@ -21,11 +21,7 @@ _MAJORITY = 1.5
 
 
 class LayerOrder:
-    """Overlapping pairs of one mesh and their order.
-
-    Args:
-        mesh: mesh that provides the triangles.
-    """
+    """Overlapping pairs of one mesh and their order."""
 
     def __init__(self, mesh: ClothMesh) -> None:
         self._faces, self._count = mesh.faces, mesh.vertex_count
@@ -51,7 +47,6 @@ class LayerOrder:
         Args:
             vertices: vertex positions [m].
             order_m: heights [m]; the higher one of a pair is on top.
-            votes: number of rounds of averaging over neighboring pairs; the last decides the order.
         """
         vertex, face, blend = self._overlaps(vertices)
         corners = self._faces[face]

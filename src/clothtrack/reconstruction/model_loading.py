@@ -36,12 +36,7 @@ def designs() -> Iterator[Design]:
 
 
 def design_of(weights: Weights) -> Design:
-    """Return the design that weights belong to.
-
-    Raises:
-        InvalidResultError: no installed package knows their network.
-        InvalidConfigError: the extra that the design needs is not installed.
-    """
+    """Return the design that weights belong to."""
     for design in designs():
         if design.recognizes(weights):
             return _installed(design)
@@ -53,14 +48,7 @@ def design_of(weights: Weights) -> Design:
 
 
 def design_named(network: str) -> Design:
-    """Return the design that has a network of this name.
-
-    Args:
-        network: name such as "tokens".
-
-    Raises:
-        InvalidConfigError: there is none, or the extra that it needs is not installed.
-    """
+    """Return the design that has a network of this name."""
     known = {name: design for design in designs() for name in design.networks}
     if network not in known:
         raise InvalidConfigError(
@@ -75,18 +63,7 @@ def _installed(design: Design) -> Design:
 
 
 def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> Reconstructor:
-    """Load the network for a kind of garment.
-
-    Args:
-        kind: "towel", "tshirt" or, for the token network alone, "trousers".
-        path: weights of any design; when None, the token network's weights in the package.
-        device: compute device.
-
-    Raises:
-        InvalidResultError: there are no such weights, or they are damaged, of an unknown network or
-            for another garment.
-        InvalidConfigError: the extra that the network needs is not installed.
-    """
+    """Load the network for a kind of garment."""
     path = path or shipped_weights()
     if path is None:
         raise InvalidResultError(

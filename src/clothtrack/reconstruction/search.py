@@ -60,10 +60,8 @@ class Choice:
     """A garment and an answer that were tried.
 
     Attributes:
-        cut: cut of the garment.
         size_m: its width and length [m].
         turn_deg: angle by which the picture was turned [deg].
-        explanation: how well it explains the picture.
     """
 
     cut: str

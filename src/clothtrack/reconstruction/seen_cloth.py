@@ -34,7 +34,6 @@ class SeenCloth:
     """The space where a cloth may be, from straight above.
 
     Attributes:
-        camera: virtual camera above the cloth.
         depth: depth along its axis [m]; 0 where no cloth was measured.
         free: pixels where cloth may be: cloth was seen there, or could not have been seen.
         table_m: height of the table in the world [m].
@@ -50,8 +49,6 @@ class SeenCloth:
         """Return the cloth that a picture shows.
 
         Args:
-            view: the picture from straight above.
-            picture: the same cloth as the sensor measured it.
             table_m: height of the table [m].
         """
         seen = view.depth > 0
@@ -99,11 +96,7 @@ class SeenCloth:
     def cells(
         self, count: int
     ) -> tuple[Float[np.ndarray, "count count"], Float[np.ndarray, "count count"]]:
-        """Return the share of each cell that shows cloth, and its mean height over the table [m].
-
-        Args:
-            count: number of cells along each side; the picture's width must be a multiple of it.
-        """
+        """Return the share of each cell showing cloth, and its mean height over the table [m]."""
         side = self.depth.shape[0] // count
         blocks = (count, side, count, side)
         covered = self.seen.reshape(blocks).mean(axis=(1, 3))

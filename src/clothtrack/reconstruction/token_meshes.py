@@ -33,16 +33,7 @@ class TokenMeshes:
 
     @classmethod
     def load(cls, weights: Weights, kind: str, *, device: str = "cpu") -> "TokenMeshes":
-        """Return the network of loaded weights.
-
-        Args:
-            weights: weights of a token network.
-            kind: unused, because the network serves every garment.
-            device: compute device.
-
-        Raises:
-            InvalidResultError: the weights are of another network.
-        """
+        """Return the network of loaded weights."""
         del kind
         return cls(TokenReconstructor.of(weights, device=device))
 

@@ -33,7 +33,6 @@ class CameraView:
     """The view of one camera in one frame.
 
     Attributes:
-        camera: the camera.
         color: its color picture, red first; None if there is none or it is not needed.
         depth_m: its depth picture [m]; 0 where nothing was measured.
         mask: pixels of the cloth.

@@ -107,11 +107,6 @@ def learned_set(
 
     Two smoothed histograms are compared bin by bin (a likelihood ratio): `CORE` where cloth is
     three times as frequent, `LOOSE` where it is more frequent.
-
-    Args:
-        color: color picture, red first.
-        cloth: pixels of which nearly all are cloth.
-        other: pixels of which nearly none are cloth.
     """
     bins = bin_of(color)
     inside, outside = (
@@ -138,11 +133,6 @@ def with_shades(
 
     Light changes the value of a color, but not its hue and saturation. Colors of the rest of the
     picture are not added, and neither are grays, which have no hue.
-
-    Args:
-        members: set of the cloth's colors in this picture.
-        color: the picture, red first.
-        cloth: pixels of the cloth.
     """
     hsv = _all_hsv()
     bins = bin_of(color)

@@ -36,8 +36,6 @@ def write_mesh(
     The order of the vertices is kept. A GLB has a node that turns z up to y up, as glTF requires.
 
     Args:
-        mesh: the mesh.
-        path: path of the file.
         expected_error_m: expected error of each vertex [m]; only a PLY keeps it, as a property of
             its vertices.
     """

@@ -22,7 +22,6 @@ class NumberedPoints:
     """Points in one picture, in the order of their numbers.
 
     Attributes:
-        numbers: numbers of the material points.
         pixels: their places in the picture [pixels].
         steps: their motion since the previous picture [pixels].
         beside: numbers of each one's neighbors when points were last chosen, or `NOBODY`.

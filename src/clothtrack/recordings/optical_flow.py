@@ -79,9 +79,6 @@ def carried(
     """Return where windows of one even picture are in the next, and which were found.
 
     Args:
-        before: the first even picture.
-        after: the next one.
-        pixels: centers of the windows in the first.
         steps: last motion of each window [pixels]: it is searched as far again, and then where its
             neighbors that were found have moved.
     """

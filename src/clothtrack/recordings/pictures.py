@@ -38,7 +38,6 @@ class PngHeader:
     Attributes:
         width: picture width [pixels].
         height: picture height [pixels].
-        bits: bits per channel.
         color_type: 0 gray, 2 color, 3 palette, 4 gray with alpha, 6 color with alpha.
     """
 

@@ -128,9 +128,6 @@ def observation_of(
     """Return the points of the cloth in the world, from camera views or from the frame's cloud.
 
     Args:
-        recording: the recording.
-        frame: one of its frames.
-        views: views of its cameras (`camera_views`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
     """
     clouds: list[Float[np.ndarray, "points 3"]] = []
@@ -219,7 +216,6 @@ def strays(
 
     Args:
         points: points [m].
-        share: share of the points that a cluster must hold; the largest is always kept.
         spacing_m: distance [m] of neighboring points; cubes are at least 1.5 times as large.
     """
     if not len(points) or share <= 0:
@@ -243,8 +239,6 @@ def cloth_measured(
 
     Args:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: pixels of the cloth.
-        camera: the camera of both.
     """
     shown = mask & (depth_m > 0) & ~flying_pixels(depth_m, camera.fx)
     if shown.any():

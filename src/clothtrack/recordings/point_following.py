@@ -127,7 +127,6 @@ class _Picture:
     """The picture of one camera in one frame.
 
     Attributes:
-        gray: brightness.
         even: brightness of the cloth, normalized for the light on it (`even_picture`).
         depth: smoothed depth of the cloth and around it [m]; 0 elsewhere.
         clear: pixels whose window shows one layer of cloth and nothing else.
@@ -194,9 +193,6 @@ class _Lost:
     """Points that were lost from one picture to the next.
 
     Attributes:
-        frame: the first frame without them.
-        even: the last picture that showed them.
-        points: the lost points in that picture.
         numbers: numbers of all points that were followed in it.
         pixels: their places in it [pixels].
     """

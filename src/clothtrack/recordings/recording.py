@@ -80,7 +80,6 @@ class Frame:
     Attributes:
         index: number of the frame in the recording, from 0.
         time_s: time since the start [s].
-        color: color picture per camera name.
         depth: depth picture per camera name; in memory in meters.
         mask: mask of the cloth per camera name, when the recording has one.
         cloud: point cloud of the whole moment, when the recording has one.
@@ -109,16 +108,9 @@ class Frame:
         """Return a frame of one camera whose pictures are in memory.
 
         Args:
-            index: number of the frame.
             time_s: time since the start [s].
-            camera: the camera of all pictures.
             depth: (height, width) float, along the optical axis [m]; what is not positive and
                 finite was not measured. It is copied.
-            color: (height, width, 3) uint8, red first; any strides.
-            mask: (height, width) bool, pixels of the cloth.
-
-        Raises:
-            InvalidRecordingError: a picture has a wrong size or type, or depth is not in meters.
         """
         name, given = camera.name, {"depth": depth, "color": color, "mask": mask}
         # OpenCV and checksums need whole rows, which img[..., ::-1] and transposes do not have.

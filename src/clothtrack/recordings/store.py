@@ -59,12 +59,7 @@ def read_recording(folder: Path | str) -> Recording:
 
 
 def write_recording(recording: Recording, folder: Path) -> Recording:
-    """Write a recording to another folder, pictures included, and read it back.
-
-    Raises:
-        StorageError: the folder exists or the disk refuses.
-        InvalidRecordingError: a picture cannot be read.
-    """
+    """Write a recording to another folder, pictures included, and read it back."""
     with RecordingWriter(
         folder,
         recording.cameras,

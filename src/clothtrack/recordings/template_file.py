@@ -94,7 +94,6 @@ def write_template(mesh: ClothMesh, path: Path) -> None:
 
     Args:
         mesh: lying flat [m].
-        path: .npz; or .obj, which gets NAME_canonical.csv beside it.
     """
     require_template_format(path)
     canonical = mesh.vertices if mesh.canonical is None else mesh.canonical

@@ -36,7 +36,6 @@ class CheckedRecording:
 
     Attributes:
         recording: the recording; None when `violations` is not empty.
-        violations: in the order of the document.
     """
 
     recording: Recording | None

@@ -19,11 +19,8 @@ class Violation:
     """One thing that is wrong with a recording.
 
     Attributes:
-        file: path inside the recording.
         field: where in the file ("cameras[0].fx", "line 7"); empty for the whole file.
         value: the value found there, shortened; empty if there is none.
-        problem: what is wrong, with the limit.
-        remedy: what to do.
     """
 
     file: str

@@ -58,7 +58,6 @@ class TrajectorySummary:
 
     Attributes:
         thumbnail: the mesh over the picture at the last label, as a data URI.
-        verdict: verdict on its worst label.
         expected_error_mm: largest expected error of its labels [mm]; NaN if unknown.
         rms_mm: distance of visible mesh and observed points at the last label [mm]; NaN if unknown.
     """
@@ -74,10 +73,8 @@ class IndexEntry:
     """Row of an index.
 
     Attributes:
-        name: name of the trajectory.
         page: its report, beside the index; None if there is none.
         description: description of the trajectory, or the reason for a missing report.
-        verdicts: a person's decisions about its labels.
         summary: picture and verdict; None if there is no report.
     """
 
@@ -89,12 +86,7 @@ class IndexEntry:
 
 
 def write_recording_page(recording: Recording, path: Path) -> Path:
-    """Write the page of an untracked recording, with pictures, observed cloth and pickers.
-
-    Raises:
-        InvalidRecordingError: no frame shows any cloth.
-        StorageError: the disk refuses.
-    """
+    """Write the page of an untracked recording, with pictures, observed cloth and pickers."""
     frames = [recording.frames[step] for step in evenly(len(recording.frames), MOST_FRAMES)]
     clouds = [thinned(observed_points(recording, frame), SCENE_POINTS) for frame in frames]
     points = np.concatenate([np.empty((0, 3)), *clouds])
@@ -157,14 +149,7 @@ def write_mesh_page(
     """Write the page of one mesh [m], z up, colored by the expected error of each vertex.
 
     Args:
-        mesh: the mesh.
-        name: title of the page.
-        path: path of the page.
         expected_error_m: expected error of each vertex [m]; None if unknown.
-        verdict: verdict on the mesh, shown with its evidence; None if there is none.
-
-    Raises:
-        StorageError: the disk refuses.
     """
     vertices, errors = np.asarray(mesh.vertices, np.float64), expected_error_m
     scene = SceneContents(
@@ -197,11 +182,7 @@ def write_mesh_page(
 
 
 def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
-    """Write a page that links the reports of many trajectories, the largest expected error first.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write a page of links to many reports, the largest expected error first."""
     rows = "".join(_index_row(entry) for entry in sorted(entries, key=_by_expected_error))
     heads = "".join(
         f'<th title="{escape(help_, quote=True)}">{escape(words)}</th>'

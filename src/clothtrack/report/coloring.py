@@ -30,10 +30,7 @@ class Coloring:
     """Value of every vertex at every frame, shown as a color.
 
     Attributes:
-        key: short name.
         title: name of the value, with its unit.
-        note: help on its interpretation.
-        limit: value of the last color.
         values: values from 0 upwards; NaN if unknown.
     """
 
@@ -53,13 +50,7 @@ def colorings(
     """Return all colorings of a trajectory, other than sides and visibility.
 
     Args:
-        tracked: the tracked trajectory.
         clouds: observed points of each frame [m].
-        judged: qualities of its labels; empty for no coloring by expected error.
-        truth: the true meshes, if they are known.
-
-    Raises:
-        InvalidResultError: the truth is of another garment or another recording.
     """
     colorings = [cloud_gaps(tracked, clouds)]
     if judged:
@@ -120,11 +111,7 @@ def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
 def _true_positions(
     tracked: TrackedTrajectory, truth: Truth
 ) -> Float[np.ndarray, "frames vertices 3"]:
-    """Return the true position of each vertex [m]; NaN at frames without truth.
-
-    Raises:
-        InvalidResultError: truth or trajectory have no canonical coordinates.
-    """
+    """Return the true position of each vertex [m]; NaN at frames without truth."""
     where = true_places(tracked, truth)
     if where is None:
         raise InvalidResultError(
@@ -140,12 +127,7 @@ def _true_positions(
 
 
 def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
-    """Return the distance [mm] of each vertex to the true position of its material point.
-
-    Raises:
-        InvalidResultError: truth or trajectory have no canonical coordinates, or no frame in
-            common.
-    """
+    """Return the distance [mm] of each vertex to the true position of its material point."""
     points = _true_positions(tracked, truth)
     values = 1e3 * np.linalg.norm(tracked.positions - points, axis=2).astype(np.float32)
     if not np.isfinite(values).any():

@@ -33,13 +33,9 @@ class Chart:
     """A chart over the frames of a trajectory.
 
     Attributes:
-        title: name of the quantity.
-        unit: its unit, written after the title.
-        lines: lines of the chart.
         note: one sentence of help under the title.
         least_top: least upper end of the vertical axis.
         marks: frames to mark with a cross at the bottom.
-        marks_label: meaning of a cross.
     """
 
     title: str

@@ -43,11 +43,7 @@ def document(title: str, body: str, *, script: bool = True) -> str:
 
 
 def write_document(path: Path, title: str, body: str, *, script: bool = True) -> Path:
-    """Write the page of `document` and return its path.
-
-    Raises:
-        StorageError: the disk refuses; an earlier file at `path` is then unchanged.
-    """
+    """Write the page of `document` and return its path."""
     with atomic_file(Path(path)) as temporary:
         temporary.write_text(document(title, body, script=script), encoding="utf-8")
     return Path(path)

@@ -38,10 +38,6 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
     `obj`, `ply`, `glb`: a folder with `frame_000000.obj` and so on, numbered as in the recording,
     and for each action `action_00_before.obj` and `action_00_after.obj`, the mesh around the final
     alignment. The vertex order is the same in all of them.
-
-    Raises:
-        InvalidConfigError: the format is unknown.
-        StorageError: the disk refuses, or a folder of that name is not empty.
     """
     if format not in get_args(ExportFormat):
         raise InvalidConfigError(
@@ -100,13 +96,7 @@ def export_pictures(
     rows: int = 6,
     truth: Truth | None = None,
 ) -> Path:
-    """Write a trajectory drawn over its recording, and return the path with its suffix.
-
-    Raises:
-        InvalidConfigError: rrd without the extra [rerun].
-        InvalidResultError: the truth is of another garment or another recording.
-        StorageError: the disk refuses.
-    """
+    """Write a trajectory drawn over its recording, and return the path with its suffix."""
     out = _with_suffix(out, _SUFFIXES[kind])
     if kind == "rrd":
         evidence = evidence_of(tracked, recording)

@@ -40,17 +40,7 @@ FAREWELL_S = 1.5
 def write_flattening_report(
     store: EpisodeStore, path: Path, *, coming: PickPlace | None = None
 ) -> Path:
-    """Write the page of an episode and return its path.
-
-    Args:
-        store: the episode, finished or not.
-        path: path of the page.
-        coming: the next action, if there is one.
-
-    Raises:
-        InvalidRecordingError: a step cannot be read.
-        StorageError: the disk refuses.
-    """
+    """Write the page of an episode and return its path."""
     label, config = store.document["asked"]["label"], store.document["asked"]["config"]
     control = f" ({CONTROL})" if label["control"] else ""
     cards = "".join(_card(store, number, coming) for number in range(len(store.steps)))
@@ -85,12 +75,7 @@ def watched_live(
 
 
 def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
-    """Write all pictures of an episode with their arrows as one PNG, `columns` per row.
-
-    Raises:
-        InvalidRecordingError: a step cannot be read.
-        StorageError: the disk refuses.
-    """
+    """Write all pictures of an episode with their arrows as one PNG, `columns` per row."""
     width, height = 320, 240
     control = ", control" if store.document["asked"]["label"]["control"] else ""
     tiles = []

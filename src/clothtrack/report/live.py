@@ -30,12 +30,7 @@ class Decisions:
     path: Path
 
     def take(self, action: Any, verdict: Any) -> None:
-        """Write one decision to disk, then apply it.
-
-        Raises:
-            InvalidConfigError: there is no such label, or no such verdict.
-            StorageError: the disk refuses; earlier decisions are kept.
-        """
+        """Write one decision to disk, then apply it."""
         if action not in range(len(self.review.labels)) or verdict not in get_args(Verdict):
             raise InvalidConfigError(
                 f"action {action!r} is {verdict!r}; there are actions 0 to "
@@ -96,17 +91,7 @@ def live_page(
     decisions: Decisions | None = None,
     opened: Callable[[str], None] | None = None,
 ) -> Iterator[LivePage]:
-    """Serve a page on 127.0.0.1 while the block runs; the block sets its content.
-
-    Args:
-        name: title of the page until the block shows one.
-        port: port of the server; any free one by default.
-        decisions: decisions about the labels in the page; None: the page accepts none.
-        opened: called first, with the address.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve a page on 127.0.0.1 while the block runs; the block sets its content."""
     page = LivePage(name, decisions)
     with serving(page.ask, page.tell, port) as address:
         if opened is not None:
@@ -185,17 +170,7 @@ def serve_folder(
     *,
     opened: Callable[[str], None],
 ) -> None:
-    """Serve an index and its reports on 127.0.0.1 until Ctrl-C is pressed.
-
-    Args:
-        title: title of the index until it is written.
-        load: returns the writer of the index, with links to NAME.html, and the reports by name.
-        port: port of the server; any free one by default.
-        opened: called with the address before anything is loaded.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve an index and its reports on 127.0.0.1 until Ctrl-C is pressed."""
     folder = _Folder(title)
     try:
         with (

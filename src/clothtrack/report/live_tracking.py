@@ -119,13 +119,7 @@ class LiveTracking:
 def live_tracking(
     words: Callable[[], str], port: int | None = None, *, opened: Callable[[str], None]
 ) -> Iterator[LiveTracking]:
-    """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`).
-
-    Args:
-        words: function that returns the progress of the tracking.
-        port: port of the server; any free one by default.
-        opened: called first, with the address.
-    """
+    """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`)."""
     page = LiveTracking(words)
     with serving(page.ask, lambda *_: None, port) as address:
         opened(address)

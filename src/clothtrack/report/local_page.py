@@ -76,16 +76,7 @@ def _refusal(headers: Message, port: int) -> str | None:
 
 @contextmanager
 def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
-    """Serve while the block runs, and yield the address.
-
-    Args:
-        ask: answers GET from path and query; None for an unknown path.
-        tell: answers POST from path and the JSON object.
-        port: port of the server; any free one by default.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve while the block runs, and yield the address."""
     if port is not None and not 0 <= port <= _HIGHEST_PORT:
         raise InvalidConfigError(
             f"port is {port}; choose one from 1024 to {_HIGHEST_PORT}, or leave it out"

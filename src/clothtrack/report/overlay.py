@@ -171,13 +171,7 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Enlarged picture of a camera, and its displayed window.
-
-    Attributes:
-        camera: camera of the enlarged picture.
-        rows: displayed rows.
-        columns: displayed columns.
-    """
+    """Enlarged picture of a camera, and its displayed window."""
 
     camera: Camera
     rows: slice
@@ -211,9 +205,6 @@ def write_overlay_video(
 
     `steps` selects frames of the trajectory (all by default); the video keeps the recording's
     speed. `draw` returns the picture of a step, by default the annotated one.
-
-    Raises:
-        StorageError: the disk refuses.
     """
     chosen = range(len(overlay.tracked.frames)) if steps is None else steps
     rate = frame_rate(overlay.tracked.time_s[np.asarray(chosen, dtype=np.int64)])
@@ -222,11 +213,7 @@ def write_overlay_video(
 
 
 def write_contact_sheet(overlay: Overlay, path: Path, *, rows: int = 6) -> Path:
-    """Write a PNG with `rows` frames: observation, overlay and a shaded 3/4 view in each row.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write a PNG with `rows` frames: observation, overlay and a shaded 3/4 view in each row."""
     count = len(overlay.tracked.frames)
     steps = np.unique(np.linspace(0, count - 1, min(rows, count)).round().astype(int))
     sheet = np.vstack(list(_sheet_rows(overlay, steps.tolist())))

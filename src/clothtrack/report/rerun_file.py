@@ -44,10 +44,6 @@ def write_rerun(
     The entities are `world/cloth` (colored by visibility), `world/cloth_KEY` per coloring,
     `world/observed`, `world/picker/NAME`, `camera/NAME`, and `curves/...`. The time lines are
     `frame` and `time`.
-
-    Raises:
-        InvalidConfigError: the extra [rerun] is not installed.
-        StorageError: the disk refuses.
     """
     require_extra("rerun", ["rerun"], "writing .rrd")
     # Import by name because type checkers find it in some installations only.

@@ -65,19 +65,11 @@ class SceneContents:
     """Contents of a page's 3D scene.
 
     Attributes:
-        frames: numbers of the frames.
         time_s: times of the frames [s].
-        eye: initial view.
-        up: unit vector upwards.
         along: unit vector along which layers are separated.
         positions: vertices of the cloth [m]; empty if there is no mesh.
-        faces: vertex indices per triangle.
-        ranks: number of layers under each vertex.
         visible: whether a camera sees the vertex; None if unknown.
         clouds: observed points of each frame [m].
-        pickers: paths of the pickers.
-        table: the table.
-        colorings: colorings of the cloth.
         views: the recording's cameras, with the displayed parts of their pictures.
         cloud_colors: RGB of each observed point; empty if there is no color picture.
         film: RGB of each vertex from the color pictures.
@@ -114,13 +106,8 @@ def recorded_scene(
     """Return the scene of some frames of a recording.
 
     Args:
-        recording: recording with table, pickers and pictures.
-        frames: frames to show.
-        eye: initial view.
         clouds: observed points of each frame [m].
-        mesh: the cloth, if it is known.
         positions: its vertices in each frame [m].
-        more: further fields of `SceneContents`.
     """
     axis = layers_axis(recording, eye)
     if mesh is None or positions is None:

@@ -46,10 +46,7 @@ class Figure(NamedTuple):
     """Key figure of a page.
 
     Attributes:
-        name: name of the figure.
         value: displayed value; a figure with an empty value is left out.
-        unit: unit of the value.
-        help: explanation, shown as a tooltip.
     """
 
     name: str
@@ -140,11 +137,7 @@ def settings_html(tracked: TrackedTrajectory, recording: Recording) -> str:
 
 
 def jpeg_uri(image: Picture, *, quality: int = 86) -> str:
-    """Return an RGB picture as a data URI.
-
-    Raises:
-        StorageError: the picture cannot be encoded.
-    """
+    """Return an RGB picture as a data URI."""
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:

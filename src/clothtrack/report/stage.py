@@ -89,12 +89,9 @@ class Pictures:
     """Contents of a page's video.
 
     Attributes:
-        frames: numbers of the frames.
         write: function that writes the video to a file and returns its frames per second.
         size: width and height of the displayed part [pixels].
         parts: names of the parts stacked vertically in the video; one of them is displayed.
-        words: caption of each frame.
-        words_title: explanation of the captions.
     """
 
     frames: Sequence[int]

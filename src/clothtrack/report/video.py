@@ -25,10 +25,6 @@ def write_video(
 
     Sizes are made even by repeating the last row or column, as 4:2:0 requires. `quality` is x264's
     rate factor: 18 looks like the source, 30 is coarse.
-
-    Raises:
-        InvalidConfigError: there is no picture.
-        StorageError: the disk refuses.
     """
     pictures = iter(pictures)
     first = next(pictures, None)
@@ -63,11 +59,7 @@ def write_video(
 
 
 def write_picture(path: Path, picture: UInt8[np.ndarray, "height width 3"]) -> None:
-    """Write a picture, red first, as PNG, whole or not at all.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write a picture, red first, as PNG, whole or not at all."""
     # Encode in memory, since on a full disk OpenCV only writes a line to standard error.
     done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     assert done, "OpenCV refuses a picture whose shape and type were checked"

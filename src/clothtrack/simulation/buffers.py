@@ -14,20 +14,14 @@ class ClothBuffers:
     """Warp arrays of shape (environments, vertices) unless stated otherwise.
 
     Attributes:
-        positions: positions of the state.
         velocities: velocities of the state; within a substep those of the free flight.
         start: positions at the beginning of the substep.
         predicted: positions after free flight in the elastic substep.
-        moves: position changes from contact.
         stops: the part of `moves` that ends an approach and changes the velocity.
         inverse_masses: inverse masses [1/kg]; 0 for held vertices.
         pull: rate at which a soft vertex approaches its goal [1/s]; 0 is free, -1 held.
-        goals: targets of attached vertices.
-        airborne: substeps since the last contact.
         rest: positions of the rest shape (vertices).
         masses: mass of each vertex [kg] (vertices).
-        faces: corners of each triangle (faces).
-        clocks: one Clock.
         substeps_left: remaining substeps of the step, one number.
         highest_speed: highest speed since the step began (environments).
     """

@@ -15,7 +15,6 @@ class DistanceConstraints:
     """Pairs of vertices with their rest distance, sorted by color.
 
     Attributes:
-        pairs: the two vertices of each constraint.
         lengths: rest distances [m].
         first: start of each color, and the end; no two pairs of one color share a vertex.
     """
@@ -33,14 +32,7 @@ class DistanceConstraints:
 
 
 class DeviceConstraints:
-    """Constraints on a device, and passes over them.
-
-    Args:
-        constraints: the pairs.
-        device: Warp device.
-        limit: as in `kernels.solve_distances`.
-        buckling: as in `kernels.solve_distances`.
-    """
+    """Constraints on a device, and passes over them."""
 
     def __init__(
         self,

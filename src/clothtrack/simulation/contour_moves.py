@@ -45,8 +45,6 @@ class _Sheets:
     """One row for each sheet of each contour.
 
     Attributes:
-        contour: its contour.
-        side: 1 or -1, as in `Contours.sides`.
         piece: vertices that the contour cuts off, the smaller part of the sheet.
         area: area of the piece [m^2].
         back: unit direction of the piece out of the other sheet.
@@ -87,9 +85,7 @@ class ContourMoves:
         """Return the direction of each vertex, at most 1 long; 0 if no contour touches it.
 
         Args:
-            found: the contours at these positions.
             positions: vertex positions [m].
-            pieces: whether small pieces are moved back.
         """
         search = self._search
         sides = found.sides[:, None]

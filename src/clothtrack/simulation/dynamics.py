@@ -22,7 +22,6 @@ class RollOut:
     """Result of a roll-out.
 
     Attributes:
-        state: the state to continue from.
         positions: the final vertices [m].
         highest_speed: highest speed of a free vertex during the roll-out, before the limit [m/s].
         started_at: the initial vertices [m].
@@ -66,17 +65,10 @@ class ClothDynamics:
         """Simulate the cloth for a given duration.
 
         Args:
-            state: the initial state; a state of one environment is copied to all. None continues
-                from the end of the last roll-out.
-            motion: held vertices and their path; None holds none.
             duration_s: duration [s].
             pseudo: targets of observed vertices at the end. Held vertices (strength 1) approach
                 their targets in a straight line; softer targets pull from the start. Vertices that
                 a picker holds follow the picker.
-            coarseness: substeps are this many times as long as configured.
-
-        Returns:
-            The end of the motion.
         """
         solver = self.solver
         if state is not None:

@@ -33,8 +33,6 @@ class ClothParameters(Checked):
         stretch_compliance: inverse stiffness of an edge [m/N]; 0: the edge does not stretch.
         bend_compliance: inverse stiffness between the two vertices opposite each other across an
             edge [m/N].
-        table_friction: Coulomb coefficient between cloth and table.
-        particle_friction: Coulomb coefficient between cloth and cloth.
     """
 
     stretch_compliance: NotNegative = 0.0

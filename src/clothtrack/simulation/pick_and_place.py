@@ -103,8 +103,6 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
 
     Args:
         cloth: the cloth at its present vertices [m].
-        config: ranges to draw from.
-        rng: random generator.
     """
     points = cloth.vertices
     middle = points[:, :2].mean(axis=0)

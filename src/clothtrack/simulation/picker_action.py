@@ -11,7 +11,6 @@ class HeldMotion:
     """The path of held vertices during a roll-out.
 
     Attributes:
-        vertices: the held vertices.
         waypoints: their targets [m] at times equally spaced over the roll-out, the first at its
             start; with an environments axis if the paths differ.
     """

@@ -40,9 +40,6 @@ class ClothSolver:
 
     Attributes:
         mesh: the cloth; its vertices are the rest shape.
-        config: settings of the solver.
-        environments: number of copies.
-        device: Warp device, "cpu" or "cuda:0".
     """
 
     def __init__(
@@ -54,11 +51,7 @@ class ClothSolver:
         environments: int = 1,
         device: str = "cpu",
     ) -> None:
-        """Put every environment at rest in the rest shape of the mesh.
-
-        Raises:
-            InvalidConfigError: the number of parameters is not the number of environments.
-        """
+        """Put every environment at rest in the rest shape of the mesh."""
         self.mesh = mesh
         self.config = config or SolverConfig()
         self.environments = environments
@@ -94,11 +87,7 @@ class ClothSolver:
         return self._contact.overflows.numpy().copy()
 
     def set_parameters(self, parameters: ClothParameters | Sequence[ClothParameters]) -> None:
-        """Set the material of the environments, one for all or one for each.
-
-        Raises:
-            InvalidConfigError: the number of parameters is not the number of environments.
-        """
+        """Set the material of the environments, one for all or one for each."""
         if isinstance(parameters, ClothParameters):
             parameters = [parameters] * self.environments
         if len(parameters) != self.environments:
@@ -119,11 +108,7 @@ class ClothSolver:
         return ClothState(self.positions, self.velocities, memory)
 
     def restore(self, state: ClothState) -> None:
-        """Restore a saved state; a state of one environment is copied to all.
-
-        Raises:
-            InvalidConfigError: the state is of another cloth or number of environments.
-        """
+        """Restore a saved state; a state of one environment is copied to all."""
         if state.environments not in (1, self.environments):
             raise InvalidConfigError(
                 f"a state of {state.environments} environments for {self.environments}; "
@@ -162,9 +147,6 @@ class ClothSolver:
 
         Args:
             duration_s: duration [s]; any length, divided into equal substeps.
-            attachment: targets of vertices; None leaves all of them free.
-            coarseness: substeps, and the time between two contact searches, are this many times as
-                long as configured.
 
         Returns:
             The highest speed [m/s] of a free vertex after any substep, before the speed limit. It

@@ -14,7 +14,6 @@ class ContactMemory:
         sides: triangle number + 1, positive if the vertex is on the side of the triangle's
             normal, negative if behind; 0 marks an empty slot.
         distances: contact distance of the pair [m].
-        counts: filled slots per vertex.
         airborne: substeps since the vertex last touched anything.
     """
 
@@ -26,12 +25,7 @@ class ContactMemory:
     def without(
         self, vertices: Bool[np.ndarray, " vertices"], faces: Int[np.ndarray, "faces 3"]
     ) -> "ContactMemory":
-        """Return the memory without all pairs that contain these vertices, in any environment.
-
-        Args:
-            vertices: vertices that were moved past others, so that their sides are found anew.
-            faces: the cloth's triangles.
-        """
+        """Return the memory without all pairs that contain these vertices, in any environment."""
         triangle = np.abs(self.sides) - 1
         moved = vertices[faces].any(axis=1)[triangle] | vertices[:, None]
         kept = (self.sides != 0) & ~moved
@@ -49,7 +43,6 @@ class ClothState:
     Attributes:
         positions: vertices in the world [m].
         velocities: their velocities [m/s].
-        contacts: the contact memory.
     """
 
     positions: Float32[np.ndarray, "environments vertices 3"]

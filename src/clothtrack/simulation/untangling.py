@@ -56,7 +56,6 @@ class Untangling:
             any crossing are unchanged to the bit.
         crossings_before: edges that passed through a triangle (`geometry.quality: crossings`).
         crossings_after: edges that still do; untangling failed if this is not 0.
-        rounds: number of moves tried.
     """
 
     positions: Float[np.ndarray, "vertices 3"]
@@ -77,15 +76,7 @@ def untangled(
     """Return the cloth with as few self-intersections as possible.
 
     Args:
-        mesh: the cloth; its vertices define the rest lengths of the edges.
         positions: current vertex positions [m].
-        mobility: how readily each vertex moves, 0 to 1; lower where it was observed; None: 1.
-        table: no vertex is moved farther into it.
-        rounds: maximum number of moves.
-        device: "cpu" or "cuda:0".
-
-    Returns:
-        The positions, and the number of crossings before and after.
     """
     return Untangler(mesh, device=device)(positions, mobility=mobility, table=table, rounds=rounds)
 
@@ -95,7 +86,6 @@ class Untangler:
 
     Args:
         mesh: the cloth; its vertices define the rest lengths of the edges.
-        device: "cpu" or "cuda:0".
     """
 
     def __init__(self, mesh: ClothMesh, *, device: str = "cpu") -> None:

@@ -40,9 +40,7 @@ class Tracked:
     """Tracking progress of an action.
 
     Attributes:
-        state: the cloth now, x_t.
         moved_at: the frame into which the mesh was last moved.
-        frame: the frame that was tracked last.
     """
 
     state: State
@@ -53,15 +51,7 @@ class Tracked:
 def track(
     recording: Recording, state: State, theta: Theta, method: Method, recorder: Recorder
 ) -> None:
-    """Track the cloth through every action of a recording.
-
-    Args:
-        recording: frames, pick-and-places and the paths of the pickers.
-        state: the cloth at the first frame.
-        theta: its parameters before any calibration.
-        method: the functions of the algorithm.
-        recorder: stores the chosen candidate of each action.
-    """
+    """Track the cloth through every action of a recording."""
     for action in recording.actions:  # Algorithm 1, line 2
         begin_action(recording.frames[action.first_frame], state, method)
         search = method.calibrate(action, state, theta)
@@ -86,19 +76,7 @@ def end_action(
     method: Method,
     recorder: Recorder,
 ) -> tuple[Theta, State]:
-    """Align the cloth once more at the end of an action: line 9.
-
-    Args:
-        recording: frames with their times.
-        best: the chosen candidate.
-        state: the cloth at the last frame.
-        calibration: how the candidate was found.
-        method: provides TTO2.
-        recorder: stores the result.
-
-    Returns:
-        The parameters and state that the next action starts from.
-    """
+    """Align the cloth once more at the end of an action: line 9."""
     state, losses = aligned_end(recording, best, state, method)
     recorder.keep(best, state, losses, calibration)
     return best.candidate.theta, state
@@ -107,14 +85,7 @@ def end_action(
 def aligned_end(
     recording: Recording, best: TrackedCandidate, state: State, method: Method
 ) -> tuple[State, tuple[float, float]]:
-    """Return the cloth after an action's TTO2, and the objective [m^2] before and after.
-
-    Args:
-        recording: frames with their times.
-        best: the chosen candidate.
-        state: the cloth at the last frame.
-        method: provides TTO2.
-    """
+    """Return the cloth after an action's TTO2, and the objective [m^2] before and after."""
     last = recording.frames[best.action.last_frame]
     held = best.candidate.grasps.closed_at(last.time_s)
     return method.align_last(state, best.candidate.theta, method.observe(last), held)  # TTO2
@@ -129,16 +100,7 @@ def track_action(
     method: Method,
     recorder: Recorder,
 ) -> TrackedCandidate:
-    """Track one pick-and-place to its last frame with one candidate: lines 4 to 8.
-
-    Args:
-        recording: frames with their times.
-        action: the pick-and-place.
-        state: the cloth at its first frame.
-        candidate: the cloth's parameters, and what the pickers hold.
-        method: the functions of the algorithm.
-        recorder: records every frame.
-    """
+    """Track one pick-and-place to its last frame with one candidate: lines 4 to 8."""
     notes, dyn = recorder.begin(action, candidate), method.dynamics(candidate.theta)
     first, *frames = recording.frames[action.first_frame : action.last_frame + 1]
     tracked = Tracked(state, first, first)
@@ -156,16 +118,7 @@ def track_frame(
     method: Method,
     notes: CandidateNotes,
 ) -> Tracked:
-    """Track the cloth into the next frame of an action, or leave it unchanged if it is at rest.
-
-    Args:
-        dyn: the dynamics with the candidate's parameters.
-        tracked: the cloth at the previous frame.
-        grasps: what the pickers hold, and where they move it.
-        frame: the next frame.
-        method: the functions of the algorithm.
-        notes: records the frame.
-    """
+    """Track the cloth into the next frame of an action, or leave it unchanged if it is at rest."""
     picker_action = grasps.action(tracked.frame.time_s, frame.time_s)
     if method.at_rest(picker_action, tracked.moved_at, frame):  # not in the paper
         notes.rest(frame, tracked.state)
@@ -178,15 +131,7 @@ def track_frame(
 def _corrected(
     dyn: Dynamics, state: State, picker_action: PickerAction, frame: Frame, method: Method
 ) -> tuple[Corrected, Correction | None]:
-    """Predict, align, and roll out with the correction.
-
-    Args:
-        dyn: the dynamics with the candidate's parameters.
-        state: the cloth at the previous frame, x_t.
-        picker_action: what the pickers do between the frames, a_t.
-        frame: the next frame, which shows P_{t+1}.
-        method: provides TTO1 and the line search.
-    """
+    """Predict, align, and roll out with the correction."""
     predicted = dyn.predict(state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
     correction = method.align(predicted, method.observe(frame))  # TTO1, Sec. III-B.2
     # x_{t+1} = dyn(x_t, a_t, a~_t), Sec. III-B.3

@@ -14,11 +14,7 @@ logger = logging.getLogger(__name__)
 
 
 def load_tracked(path: Path) -> "TrackedTrajectory":
-    """Return a tracked trajectory.
-
-    Raises:
-        InvalidResultError: it is missing or unfinished.
-    """
+    """Return a tracked trajectory."""
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
     if not path.exists():
@@ -29,11 +25,7 @@ def load_tracked(path: Path) -> "TrackedTrajectory":
 def require_own(
     tracked: "TrackedTrajectory", recording: "Recording", *, artifact: Path, folder: Path
 ) -> None:
-    """Refuse a recording of another name and content than the trajectory was tracked from.
-
-    Raises:
-        InvalidRecordingError: it is another one.
-    """
+    """Refuse a recording of another name and content than the trajectory was tracked from."""
     if recording.name != tracked.name and not _is_unchanged(tracked, recording):
         raise InvalidRecordingError(
             f"{folder}: is recording {recording.name}, and {artifact} was tracked from "

@@ -79,11 +79,7 @@ class _OneCandidate:
 
 @dataclass(frozen=True, eq=False)
 class Uncalibrated:
-    """No calibration: theta stays as it is.
-
-    Attributes:
-        pick: returns what the pickers hold.
-    """
+    """No calibration: theta stays as it is."""
 
     pick: Pick
 
@@ -97,9 +93,6 @@ class OpenLoopCalibration:
     """The paper's calibration.
 
     Attributes:
-        pick: returns what the pickers hold.
-        config: settings of the search.
-        score: rolls candidates out and scores them.
         propose: proposes candidates from the axes and the previous action's theta; by default
             grid or coordinate descent, according to the configuration.
     """
@@ -144,8 +137,6 @@ class TrackingCalibration:
     """Our calibration: every candidate is tracked.
 
     Attributes:
-        pick: returns what the pickers hold.
-        config: settings of the search.
         score: returns the misfit of a tracked candidate, at least 0; lower is better.
         combine: returns the state that combines the ends of all candidates.
     """
@@ -238,12 +229,6 @@ class OutlineGap:
     """Silhouette misfit between a tracked candidate and the pictures (0 to 1).
 
     It is measured before TTO2, which fits the outline and would hide errors inside it.
-
-    Attributes:
-        recording: frames of the action.
-        mesh: topology.
-        observe: returns the cloud of a frame.
-        device: "cpu" or "cuda:0".
     """
 
     recording: Recording

@@ -46,11 +46,7 @@ def ensemble_spread(
 def mean_end(
     ends: Sequence[Float[np.ndarray, "vertices 3"]], scores: Sequence[float]
 ) -> Float[np.ndarray, "all_or_none 3"]:
-    """Return the mean of several final meshes [m], weighted by how well each fits.
-
-    Returns:
-        The mean; empty if fewer than two meshes have a weight above 0.
-    """
+    """Return the mean of several final meshes [m], weighted by how well each fits."""
     sound = [number for number, score in enumerate(scores) if np.isfinite(score)]
     if len(sound) < 2:
         return np.zeros((0, 3))

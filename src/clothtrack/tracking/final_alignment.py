@@ -36,18 +36,13 @@ class FinalAlignment:
 
     Attributes:
         recording: the recording; its name is used in messages, and its table for sliding.
-        mesh: the flat first mesh.
-        align: aligns visible vertices.
-        dynamics: applies a correction.
         slide: slide and turn a free cloth on its table as a rigid body until its outline fits,
             because nearest points alone would keep a slipped cloth where it is.
-        untangle: remove crossings before and after.
         rounds: how often the alignment is computed and applied; each round starts from the result
             of the dynamics in the round before.
         roll_s: time over which the dynamics apply a correction [s]. It is short, so that gravity
             has little effect but layers keep their sides. 0 displaces the vertices at once,
             through any obstacle (the paper).
-        device: "cpu" or "cuda:0".
     """
 
     recording: Recording
@@ -142,11 +137,7 @@ def rolled_to(
     """Pull the cloth to a target with the dynamics, so that layers keep their sides.
 
     Args:
-        dynamics: the dynamics with the cloth's parameters.
-        state: the initial state; it is also the result if the roll-out diverges.
-        pull: targets of the vertices.
         roll_s: duration of the roll-out [s].
-        name: name of the recording, for messages.
     """
     solver = dynamics.solver
     rolled = dynamics.roll_out(state, None, roll_s, pull)

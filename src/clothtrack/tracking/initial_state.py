@@ -43,7 +43,6 @@ class InitialState:
     Attributes:
         mesh: the flat cloth at rest, in the world [m]: its edges are the rest lengths.
         positions: its vertices at the first frame [m]; None: as in `mesh`.
-        origin: its source, stored with the result.
     """
 
     mesh: ClothMesh
@@ -59,20 +58,7 @@ def find_initial_state(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> InitialState:
-    """Return the cloth that tracking starts from.
-
-    Args:
-        recording: template, kind, table, cameras and the first depth picture.
-        observation: the cloud of the first frame.
-        config: the source of the first mesh.
-        segmenter: finds the cloth in a picture; by default the recording's own method.
-        device: device of the computation.
-
-    Raises:
-        InvalidRecordingError: the recording lacks what the chosen source needs.
-        InvalidConfigError: the network is requested and [learn] is not installed.
-        InvalidResultError: weights are missing, damaged or for another garment.
-    """
+    """Return the cloth that tracking starts from."""
     template = recording.cloth.template
     if config.template and config.source in ("auto", "flat"):
         return _from_file(recording, observation, config)

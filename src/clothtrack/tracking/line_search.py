@@ -70,15 +70,7 @@ class PseudoActionSearch:
         predicted: Prediction,
         correction: Correction | None,
     ) -> Corrected:
-        """Return the first stable roll-out, or the dynamics alone if there is none.
-
-        Args:
-            dyn: the dynamics.
-            state: the cloth at the previous frame.
-            action: what the pickers do until this frame.
-            predicted: the prediction that the correction starts from.
-            correction: the correction from the cloud; None uses the dynamics alone.
-        """
+        """Return the first stable roll-out, or the dynamics alone if there is none."""
         if correction is None:
             return Corrected(_alone(dyn, state, action, predicted))
         scale = 1.0

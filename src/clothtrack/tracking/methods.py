@@ -78,12 +78,8 @@ class Components:
     """Components that the functions of a method share, for one recording and one cloth.
 
     Attributes:
-        recording: the recording.
         mesh: the flat cloth in the world [m]; its edges give the rest lengths.
-        config: the settings.
-        observe: returns the cloud of a frame.
         start: vertices at the first frame [m], if the cloth does not lie flat there.
-        device: "cpu" or "cuda:0".
         first_frame: index of the frame at which the method begins.
     """
 
@@ -176,13 +172,7 @@ class Components:
 
 @dataclass(frozen=True, eq=False)
 class Assembled:
-    """Method that is ready to run.
-
-    Attributes:
-        method: its functions.
-        state: the cloth at the first frame.
-        theta: its parameters before any calibration.
-    """
+    """Method that is ready to run."""
 
     method: Method
     state: State

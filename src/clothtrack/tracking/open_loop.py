@@ -33,13 +33,7 @@ class OpenLoopScore:
     environment.
 
     Attributes:
-        recording: frames and their times.
-        mesh: the flat cloth.
-        solver: settings of the simulator.
-        observe: returns the cloud of a frame.
-        visible: returns which vertices some camera sees.
         widest: maximum number of candidates that are scored at once.
-        device: "cpu" or "cuda:0".
     """
 
     recording: Recording

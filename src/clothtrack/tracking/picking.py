@@ -36,9 +36,6 @@ class Grasp:
     """One picker's grasp during one action.
 
     Attributes:
-        picker: the picker's name.
-        path: the path of its tip.
-        vertices: the vertices it holds while closed.
         offsets: offset from the tip to each held vertex [m], world frame.
     """
 
@@ -74,11 +71,7 @@ def find_grasps(
     when it first closes.
 
     Args:
-        recording: contains the picker paths and, if known, the held vertices.
-        action: the pick-and-place.
         cloth: the mesh at the action's first frame [m], world frame.
-        layers: hold one vertex of each of this many layers under the tip, counted from above; with
-            0, or with no cloth directly under the tip, hold the nearest vertex of any layer.
     """
     start_s = recording.frames[action.first_frame].time_s
     end_s = recording.frames[action.last_frame].time_s
@@ -113,7 +106,6 @@ class HeldCloth:
     """Grasps of the pickers of one action, and their actual offset.
 
     Attributes:
-        grasps: one per picker that holds something.
         offset: offset from the commanded tip to the actual grasp on the cloth [m].
     """
 

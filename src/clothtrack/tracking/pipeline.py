@@ -74,9 +74,7 @@ class Outcome:
     """Outcome of tracking one recording.
 
     Attributes:
-        recording: its folder.
         result: the tracked trajectory on disk, or None after an error.
-        skipped: whether it had been finished before.
         error: the error in one line that names the recording.
         tracked_again: whether it had been finished before, but the recording has changed since.
     """
@@ -104,13 +102,7 @@ def observer(
     verdict on the trajectory also uses the same clouds.
 
     Args:
-        recording: a validated recording.
         spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
-        segmenter: finds the cloth in a picture; by default the recording's masks or colors.
-        color: also follow points of the cloth in the pictures.
-        look: called with the pictures of every frame that is read.
-        kept: number of frames whose clouds stay in memory.
-        followed: number of frames whose followed points stay in memory; all by default.
     """
     follower = PointFollower(recording, segmenter, kept=followed) if color else None
 
@@ -142,26 +134,7 @@ def track_recording(
     watch: Watch | None = None,
     judge: Judge | None = None,
 ) -> TrackedTrajectory:
-    """Track a recording: clouds, first mesh, calibration and tracking (Fig. 2 of the paper).
-
-    Args:
-        recording: a validated recording.
-        config: the whole configuration.
-        device: "cpu" or "cuda:0".
-        segmenter: finds the cloth in a picture; by default the recording's masks or colors.
-        progress: called after every frame.
-        parts: replacements for functions of Algorithm 1, by their names in `_PARTS`.
-        assemble: builds the method; by default that of `config.mode`.
-        force: track even if the first mesh is far from its cloud or units are wrong.
-        watch: called with every mesh.
-        judge: returns the verdict on the trajectory; none by default.
-
-    Raises:
-        InvalidConfigError: Algorithm 1 has no function of that name.
-        InvalidRecordingError: a picker holds the cloth for longer than 10 s without a frame; or the
-            first mesh is far from its cloud, or times or depths are not in the stated units, and
-            `force` is not set.
-    """
+    """Track a recording: clouds, first mesh, calibration and tracking (Fig. 2 of the paper)."""
     for name in (parts := parts or {}):
         if name not in _PARTS:
             raise InvalidConfigError(
@@ -217,12 +190,7 @@ def checked_initial_state(
     device: str = "cpu",
     force: bool = False,
 ) -> tuple[InitialState, float | None]:
-    """Return the cloth that tracking starts from, and its distance from its cloud (rms) [m].
-
-    Raises:
-        InvalidRecordingError: the mesh is far from its cloud, and `force` is not set; and as for
-            `find_initial_state`.
-    """
+    """Return the cloth that tracking starts from, and its distance from its cloud (rms) [m]."""
     first = find_initial_state(recording, observation, config, segmenter=segmenter, device=device)
     gap_m = _first_gap_m(first, observation, device)
     if not force and gap_m is not None and gap_m > LARGEST_GAP_M:
@@ -296,27 +264,6 @@ def track_recordings(
     """Track many recordings; skip finished ones, and continue after an error in one of them.
 
     A finished recording that has changed since is tracked again.
-
-    Args:
-        recordings: recording folders.
-        output: folder that gets one `NAME.zarr` per recording.
-        config: the whole configuration.
-        workers: number of processes; each tracks one recording at a time.
-        device: "cpu" or "cuda:0".
-        progress: called after every frame (with one worker) or every recording; counts all.
-        force: track even if a first mesh is far from its cloud; otherwise its outcome is an error.
-        watch: called with every mesh; needs one worker.
-        judge: returns the verdict on each trajectory; none by default.
-        ray: address of Ray, which then runs the work; worker processes by default.
-
-    Returns:
-        One outcome per recording, in the given order.
-
-    Raises:
-        InvalidConfigError: there are no workers; or `watch` is used with several workers or Ray; or
-            two recordings have the same name; or a name cannot be a file name; or another run
-            writes to `output`.
-        ClothTrackError: a worker died.
     """
     require_workers(workers)
     if watch is not None and workers > 1:

@@ -99,12 +99,7 @@ class Grasps(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One choice of parameters for an action.
-
-    Attributes:
-        theta: the parameters.
-        grasps: what the pickers hold.
-    """
+    """One choice of parameters for an action."""
 
     theta: Theta
     grasps: Grasps
@@ -115,10 +110,7 @@ class TrackedCandidate:
     """One action that was tracked to its last frame with one candidate, before TTO2.
 
     Attributes:
-        action: the pick-and-place.
-        candidate: parameters and grasps.
         positions: vertices [m] at every frame after the action's first.
-        state: the cloth at the last frame.
         records: record of each frame; those outside the action are empty.
     """
 
@@ -156,7 +148,6 @@ class Correction:
     Attributes:
         start: vertices that the alignment started from [m].
         displacement: displacement from there to the aligned vertices [m].
-        attached: vertices that a pseudo-action attaches.
         losses: objective [m^2] before and after.
     """
 
@@ -171,10 +162,8 @@ class Corrected:
     """The cloth after one frame.
 
     Attributes:
-        prediction: the accepted roll-out.
         scale: share of the correction that was applied; NaN without a correction, 0 if the line
             search gave up.
-        trials: number of roll-outs tried.
         gave_up: whether no share of the correction was stable; then the prediction is kept.
     """
 
@@ -223,11 +212,7 @@ class Method:
 
     Attributes:
         observe: returns the point cloud of a frame.
-        calibrate: searches the parameters of an action.
-        dynamics: returns dyn, given theta.
-        align: TTO1.
         line_search: rolls out the dynamics with the pseudo-action.
-        align_last: TTO2.
         anchor: binds feature tracks to material points at the start of every action.
         at_rest: returns whether the cloth is at rest.
     """

@@ -55,18 +55,7 @@ class Recorder:
         candidates: int = 1,
         on_disk: bool = False,
     ) -> None:
-        """Begin a trajectory in which every frame has the first mesh.
-
-        Args:
-            recording: the recording that is tracked.
-            mesh: the flat cloth at rest.
-            state: the cloth at the first frame.
-            visible: returns which vertices some camera sees.
-            progress: called after every frame.
-            watch: called with the first mesh now, and with every later one.
-            candidates: expected candidates per action, for the progress.
-            on_disk: keep meshes in a file instead of memory (`MeshLog`).
-        """
+        """Begin a trajectory in which every frame has the first mesh."""
         self._recording, self._mesh, self._visible = recording, mesh, visible
         self._progress, self._expected, self._begun = progress, candidates, 0
         self._on_disk = on_disk
@@ -136,13 +125,7 @@ class Recorder:
         """Store the chosen candidate of an action with its final alignment.
 
         Args:
-            best: the candidate.
-            state: the cloth after TTO2; the following frames start from there.
             losses: objective of TTO2 [m^2], before and after.
-            calibration: the candidates that were tried.
-            again: number of an action that was stored before, from 0; None: the next action.
-            until: the first frame after the action in which the cloth has moved; None: there is
-                none.
         """
         self._reach(len(self._recording.frames))
         number = len(self._actions) if again is None else again

@@ -40,7 +40,6 @@ class PicturesAtRest:
 
     Attributes:
         recording: the recording; without depth pictures, no frame is at rest.
-        observe: returns the cloud of a frame.
     """
 
     recording: Recording

@@ -184,9 +184,6 @@ class Scores:
         """Return the record of the search.
 
         Args:
-            method: "grid" or "descent".
-            judge: "open_loop" or "tracking".
-            chosen: the candidate that was taken.
             spread_m: spread of the candidates' final positions at each vertex [m].
         """
         candidates = np.array(list(self._scores), float).reshape(-1, len(self._axes))

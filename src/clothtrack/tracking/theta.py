@@ -20,8 +20,6 @@ class Theta:
     Attributes:
         stretch_compliance: compliance of an edge in tension [m/N].
         bend_compliance: compliance of the cloth in bending [m/N], at `BEND_SPACING_M`.
-        table_friction: Coulomb coefficient of cloth on table.
-        particle_friction: Coulomb coefficient of cloth on cloth.
         held_layers: number of layers the picker holds, counted from above; 0: the nearest
             vertices, whatever layer they belong to (the paper).
         grasp_offset_z_m: height of the grasp above the commanded tip [m].
@@ -56,11 +54,7 @@ PARAMETERS = tuple(field.name for field in fields(Theta))
 
 
 def check_parameter(name: str, value: float | int) -> None:
-    """Reject a value that the named parameter cannot have.
-
-    Raises:
-        InvalidConfigError: with the name, the value and what is allowed.
-    """
+    """Reject a value that the named parameter cannot have."""
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not number or not abs(value) < math.inf:
         raise InvalidConfigError(f"{name} is {value!r:.80}; it must be a finite number")

@@ -38,13 +38,11 @@ class Calibration:
     """Record of how the cloth parameters of one action were found (paper, Sec. III-B.1).
 
     Attributes:
-        method: "none", "grid" or "descent".
         names: the calibrated parameters, in the order of `candidates`' columns.
         candidates: every combination that was rolled out to the end.
         scores: score of each candidate, lower is better: Chamfer distance [m^2] of an open-loop
             roll-out to the last cloud, or gap of the tracked outline (0 to 1).
         best: index of the chosen candidate, -1 if nothing was calibrated.
-        roll_outs: number of roll-outs.
         judge: "open_loop" or "tracking": the kind of the scores.
         spread_m: spread of the tracked candidates' final positions at each vertex, as the mean
             distance from their mean [m]; empty if fewer than two were tracked. It is large where
@@ -73,13 +71,10 @@ class TrackedAction:
     """One tracked pick-and-place.
 
     Attributes:
-        first_frame: first frame.
-        last_frame: last frame, inclusive.
         positions_before_final_alignment: mesh at the last frame before TTO2 [m].
         positions_after_final_alignment: mesh at the last frame after TTO2 [m]: the pseudo-label.
         final_alignment_losses: objective [m^2] of TTO2 at its start and end; NaN without TTO2.
         parameters: the cloth parameters that were used, by name.
-        calibration: all candidates and their scores.
         held_vertices: the vertices that each picker held, by picker name.
     """
 
@@ -102,7 +97,6 @@ class StepRecords:
     Attributes:
         loss_before: objective [m^2] of TTO1 at the predicted mesh.
         loss_after: objective [m^2] of TTO1 at its end.
-        trials: number of roll-outs with a pseudo-action.
         correction_scale: accepted scale of the correction; 0 if it was dropped.
         gave_up: whether the line search ran out of trials and dropped the pseudo-action.
         highest_speed: fastest vertex [m/s] of the accepted roll-out, before the speed limit.
@@ -142,16 +136,10 @@ class TrackedTrajectory:
     """A full mesh, hidden layers included, for every observation of a recording.
 
     Attributes:
-        name: the recording's name.
         mesh: the first mesh: topology, rest shape and canonical coordinates.
-        frames: frame indices of the recording.
         time_s: times of the frames [s].
         positions: vertex positions in the world [m]; at the last frame of an action they are those
             after the final alignment.
-        visible: whether some camera sees the vertex.
-        actions: one record per action.
-        steps: one record per frame.
-        config: the whole configuration of the run.
         provenance: versions, commit, seed, device, the recording's own provenance.
         verdict_fields: the verdict and its reasons, as written by `evaluation.Verdict.as_dict`;
             empty if the trajectory was not judged.
@@ -175,11 +163,7 @@ class TrackedTrajectory:
         return self.frames[self.frames > self.actions[-1].last_frame if self.actions else slice(0)]
 
     def save(self, path: Path | str) -> None:
-        """Write the Zarr group completely or not at all.
-
-        Raises:
-            StorageError: the disk refuses; then nothing is left under `path`.
-        """
+        """Write the Zarr group completely or not at all."""
         with atomic_folder(Path(path), replace=True) as temporary:
             _write(zarr.open_group(temporary, mode="w"), self)
 
@@ -193,11 +177,7 @@ class TrackedTrajectory:
 
     @classmethod
     def load(cls, path: Path | str) -> "TrackedTrajectory":
-        """Read a group that `save` has written.
-
-        Raises:
-            InvalidResultError: the group is missing, unfinished, damaged, or from another version.
-        """
+        """Read a group that `save` has written."""
         path = Path(path)
         if not (path / "zarr.json").is_file():
             remedy = "make one with: clothtrack track RECORDING --output FOLDER"

@@ -37,14 +37,9 @@ class Tracker:
         """Set up the dynamics, the aligners and the cameras.
 
         Args:
-            recording: the recording.
             mesh: the flat cloth in the world [m]; its edges give the rest lengths for the whole
                 run.
-            config: the settings.
-            observe: turns a frame into a cloud.
             start: vertex positions at the first frame [m], if the cloth does not lie flat there.
-            assemble: builds the method; by default that of `config.mode`.
-            device: "cpu" or "cuda:0".
         """
         components = Components(recording, mesh, config, observe, start, device)
         made = (assemble or METHODS[config.mode])(components)
@@ -54,13 +49,7 @@ class Tracker:
     def track(
         self, progress: Progress | None = None, watch: Watch | None = None
     ) -> TrackedTrajectory:
-        """Run Algorithm 1 over every action of the recording.
-
-        Args:
-            progress: called after every frame with action, candidate and frame; counts the frames
-                of all expected candidates.
-            watch: called with every mesh.
-        """
+        """Run Algorithm 1 over every action of the recording."""
         components, state = self._components, self._made.state
         recorder = Recorder(
             components.recording, components.mesh, state, components.visible, progress=progress,

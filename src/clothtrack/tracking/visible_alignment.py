@@ -33,9 +33,6 @@ class VisibleAlignment:
     """Alignment of the visible vertices, and choice of the vertices that a pseudo-action attaches.
 
     Attributes:
-        mesh: the flat first mesh.
-        alignment: objective and solver of the optimization.
-        visible: returns which vertices some camera sees.
         table: the plane that the cloth cannot pass.
         rest_height_m: height of a vertex above the table when the cloth lies on it [m].
         anchors: returns the vertex targets given by feature tracks.
@@ -43,7 +40,6 @@ class VisibleAlignment:
             attaches every visible vertex.
         uncrossed_only: leave vertices free where the predicted cloth intersects itself; the paper
             attaches them. Contact can undo a crossing, but not against a pull.
-        device: "cpu" or "cuda:0".
     """
 
     mesh: ClothMesh

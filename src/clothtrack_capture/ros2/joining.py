@@ -27,7 +27,6 @@ class Received(NamedTuple):
         stamp_ns: time in its header [ns].
         sent_ns: time of sending, on the sender's clock [ns].
         came_s: time of arrival, on the local monotonic clock [s].
-        data: bytes of the message.
     """
 
     stamp_ns: int
@@ -43,7 +42,6 @@ class PictureCounts:
     Attributes:
         late: number replaced by a newer picture before they were requested.
         alone: number without a color picture near enough.
-        damaged: number that could not be decoded.
     """
 
     late: int = 0
@@ -58,8 +56,6 @@ class PictureQueue:
         """Start empty.
 
         Args:
-            topic: depth topic, for error messages.
-            with_color: whether each depth picture needs a color picture.
             tolerance_s: largest difference of their stamps [s].
             hold_s: how long a picture waits for its color and pose [s].
         """
@@ -76,11 +72,7 @@ class PictureQueue:
         return bool(self._depth)
 
     def add_depth(self, picture: Received) -> None:
-        """Add a depth picture.
-
-        Raises:
-            InvalidRecordingError: its clock was set back.
-        """
+        """Add a depth picture."""
         newest = self._depth[-1].stamp_ns if self._depth else self._last_ns
         if newest is not None and picture.stamp_ns <= newest:
             if newest - picture.stamp_ns > _STARTED_ANEW_NS:
@@ -207,8 +199,6 @@ class GripTrack:
 
         Args:
             time_ns: time in the header, or the time of sending [ns].
-            closed: whether the gripper is closed.
-            stamped: whether the time is from the header.
         """
         self._samples.append((time_ns, closed, stamped))
 

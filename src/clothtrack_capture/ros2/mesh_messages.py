@@ -29,11 +29,7 @@ class TriangleMarker:
     """
 
     def __init__(self, frame_id: str) -> None:
-        """Write the message without triangles.
-
-        Args:
-            frame_id: frame of the positions.
-        """
+        """Write the message without triangles."""
         bare, one = (_bare_marker(frame_id, points) for points in ([], [_made("Point")]))
         # They differ first at the number of points, where both arrays follow.
         pairs = enumerate(zip(bare, one, strict=False))
@@ -51,7 +47,6 @@ class TriangleMarker:
         Args:
             stamp_ns: time in its header [ns].
             corners: three corners of each triangle [m].
-            colors: red, green, blue and alpha of each corner, 0 to 1.
         """
         place, count = self._counts_at, struct.pack("<I", len(corners))
         # No padding is needed: doubles are aligned to eight bytes, and so is the end of the count.
@@ -72,10 +67,8 @@ def vertex_cloud(
 
     Args:
         stamp_ns: time in its header [ns].
-        frame_id: frame of the positions.
         positions: vertex positions [m].
         expected_error_m: expected error of each vertex [m]; NaN where it is not known.
-        visible: whether the camera sees each vertex.
     """
     points = np.zeros(len(positions), _VERTEX)
     for axis, name in enumerate("xyz"):

@@ -49,8 +49,6 @@ class Publication:
     """The publication of a topic.
 
     Attributes:
-        kind: message type, such as "sensor_msgs/msg/Image".
-        reliable: whether every publisher resends lost messages.
         latched: whether every publisher sends its last messages to late subscribers.
     """
 
@@ -96,14 +94,7 @@ class Participant:
     """A participant in a DDS domain, until it is closed."""
 
     def __init__(self, domain_id: int | None) -> None:
-        """Join a domain.
-
-        Args:
-            domain_id: ROS domain id; ROS_DOMAIN_ID, or 0, by default.
-
-        Raises:
-            InvalidConfigError: the domain id is not valid.
-        """
+        """Join a domain."""
         number = _domain_of_environment() if domain_id is None else domain_id
         try:
             with _configured():

@@ -25,10 +25,8 @@ class RobotState:
     """The robot's state as known so far.
 
     Attributes:
-        topics: requested topics.
         config: how long a pose is valid, and when a gripper is closed.
         world: frame of the positions; "" if not specified, and then poses are used unchanged.
-        tree: TF.
     """
 
     topics: Ros2Topics
@@ -41,32 +39,19 @@ class RobotState:
     _lost: str = ""
 
     def note_pose(self, topic: Topic, data: bytes, sent_ns: int) -> None:
-        """Store the tip's position.
-
-        Raises:
-            TruncatedError: the message has no position.
-        """
+        """Store the tip's position."""
         found = position_of(topic, decode(topic, data))
         if found is not None:
             self._tip_frame, position = found
             self._tip.add(header_stamp_ns(topic, data) or sent_ns, np.array(position))
 
     def note_transforms(self, topic: Topic, data: bytes, sent_ns: int) -> None:
-        """Store the transforms of a TF message.
-
-        Raises:
-            TruncatedError: the message is damaged.
-        """
+        """Store the transforms of a TF message."""
         for stamped in decode(topic, data).transforms:
             self.tree.add_message(stamped, sent_ns, static=topic.name == TF_STATIC)
 
     def note_grip(self, topic: Topic, data: bytes, sent_ns: int) -> None:
-        """Store whether the gripper is closed.
-
-        Raises:
-            TruncatedError: the message is damaged.
-            InvalidConfigError: it has a number, and `closed_below` is not set.
-        """
+        """Store whether the gripper is closed."""
         stamp_ns = header_stamp_ns(topic, data) if topic.kind.startswith("sensor_msgs/") else 0
         told = grip_of(decode(topic, data))
         if not isinstance(told, bool):
@@ -97,10 +82,6 @@ class RobotState:
         Args:
             stamp_ns: time in the header of the picture [ns].
             sent_ns: time at which it was sent [ns].
-
-        Returns:
-            The values by the picker's name; None if no picker is requested or its position is not
-            known.
         """
         if self.topics.pose is None and self.topics.tool_frame is None:
             return None

@@ -42,14 +42,7 @@ class Ros2Sink:
         """Join the domain.
 
         Args:
-            mesh_topic: topic of the Marker.
-            cloud_topic: topic of the PointCloud2; None for no cloud.
-            frame_id: TF frame of the meshes' world.
             error_limit_m: expected error shown in red [m].
-            domain_id: ROS domain id; ROS_DOMAIN_ID, or 0, by default.
-
-        Raises:
-            InvalidConfigError: the domain id is not valid.
         """
         self._frame_id, self._error_limit_m = frame_id, error_limit_m
         self._marker = TriangleMarker(frame_id)
@@ -84,9 +77,7 @@ class Ros2Sink:
         Args:
             stamp_ns: stamp of the picture that the mesh belongs to [ns] (`Ros2Source.stamp_ns`).
             positions: vertex positions in the world [m].
-            faces: vertex indices of each triangle.
             expected_error_m: expected error of each vertex [m]; NaN or None where it is not known.
-            visible: whether a camera sees each vertex; None for all.
         """
         count = len(positions)
         error = np.full(count, np.nan) if expected_error_m is None else expected_error_m

@@ -77,19 +77,7 @@ class Ros2Source:
         config: Ros2SourceConfig = Ros2SourceConfig(),  # noqa: B008
         domain_id: int | None = None,
     ) -> None:
-        """Join the domain and wait for the first pictures and the camera's intrinsics and pose.
-
-        Args:
-            topics: topics to read.
-            world_from_camera: camera pose. By default it is read from TF if `topics.world_frame` is
-                given; otherwise the camera's frame is the world.
-            config: settings for reading and joining messages.
-            domain_id: ROS domain id; ROS_DOMAIN_ID, or 0, by default.
-
-        Raises:
-            InvalidConfigError: a topic has another type, or two settings contradict each other.
-            InvalidRecordingError: a topic is silent, or its pictures cannot be used.
-        """
+        """Join the domain and wait for the first pictures and the camera's intrinsics and pose."""
         if topics.tool_frame is not None and (topics.pose is not None or not topics.world_frame):
             raise InvalidConfigError(
                 f"tool_frame {topics.tool_frame!r} is looked up in TF: give world_frame with it, "
@@ -134,13 +122,7 @@ class Ros2Source:
         self.close()
 
     def __iter__(self) -> Iterator[LivePicture]:
-        """Yield pictures as they arrive.
-
-        Raises:
-            InvalidRecordingError: depth is still published, but no picture came for `patience_s`,
-                or its clock was set back.
-            InvalidConfigError: the gripper reports numbers, and `closed_below` is not given.
-        """
+        """Yield pictures as they arrive."""
         while not self._closed:
             alone = self.counts.alone
             picture = self.take(self._config.patience_s)
@@ -158,13 +140,6 @@ class Ros2Source:
         Args:
             wait_s: how long to wait for one [s]. To report a stalled camera, wait for the longest
                 acceptable delay of the report, and call again.
-
-        Returns:
-            The picture, or None if none came in this time or the source was closed.
-
-        Raises:
-            InvalidRecordingError: the clock of depth was set back.
-            InvalidConfigError: the gripper reports numbers, and `closed_below` is not given.
         """
         deadline_s = time.monotonic() + wait_s
         while True:
@@ -232,12 +207,7 @@ class Ros2Source:
         return intrinsics_of(self._names["camera_info"], self._info, rectified=rectified)
 
     def _check_first_pictures(self) -> str:
-        """Refuse pictures that cannot be decoded or differ in size from the intrinsics.
-
-        Returns:
-            The frame of the pictures: that of color, to which depth is registered, or that of depth
-            without color.
-        """
+        """Refuse pictures that cannot be decoded or differ in size from the intrinsics."""
         frame = ""
         for part in (part for part in ("depth", "color") if part in self._names):
             try:
@@ -342,11 +312,7 @@ class Ros2Source:
                 logger.warning("%s: a picture is left out (%s)", self._names["depth"], error)
 
     def _decoded(self, part: str, received: Received) -> tuple[np.ndarray, str]:
-        """Return an undistorted picture and its frame.
-
-        Raises:
-            TruncatedError: the picture is damaged, or has another size or encoding.
-        """
+        """Return an undistorted picture and its frame."""
         message = decode(Topic(self._names[part], IMAGE, cdr=True), received.data)
         depth = part == "depth"
         picture = raw_depth_m(message, self._config.depth_unit_m) if depth else raw_color(message)

@@ -14,7 +14,6 @@ class Ros2Topics:
     Attributes:
         depth: depth Image, 16UC1 or 32FC1, registered to color.
         color: color Image of the same size, such as rgb8 or bgr8; None for depth alone.
-        camera_info: intrinsics of these pictures.
         pose: pose of the tool's tip: PoseStamped, PoseWithCovarianceStamped, PointStamped,
             TransformStamped or Odometry.
         tool_frame: TF frame of the tool's tip, instead of `pose`.

@@ -111,11 +111,7 @@ def follow(
     """Track the cloth in a recording without dynamics; the result has the tracker's format.
 
     Args:
-        recording: recording to track.
         mesh: flat first mesh in the world [m].
-        observe: function that turns a frame into a cloud.
-        config: settings of the baseline.
-        device: device for visibility, "cpu" or "cuda:0".
     """
     cameras = tuple(camera.resized(_VISIBILITY_WIDTH) for camera in recording.cameras)
     visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=0.003, device=device)
@@ -282,9 +278,6 @@ class EdgeLengths:
 
         Args:
             vertices: vertices before the projection [m].
-            fixed: whether each vertex is fixed.
-            lengths: smallest and largest length of an edge, as shares of its rest length.
-            sweeps: number of passes.
         """
         shortest, longest = lengths
         vertices = np.array(vertices, np.float64)

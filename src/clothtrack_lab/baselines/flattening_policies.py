@@ -57,10 +57,6 @@ def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
     """Return the action that pulls the corner farthest from the middle straight outwards.
 
     The pull is as long as allowed. Corners are tried from the farthest on until one can be pulled.
-
-    Args:
-        seen: visible cloth.
-        space: limits of the actions.
     """
     cloud = seen.cloud
     off = cloud[:, :2] - cloud[:, :2].mean(axis=0)

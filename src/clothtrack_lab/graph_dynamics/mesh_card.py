@@ -37,13 +37,7 @@ def write_dynamics_card(
     """Write the card next to the weights, completely or not at all.
 
     Args:
-        weights: weights as written.
-        whole: measures of whole roll-outs not used in training, by name.
         cpu_s: CPU time of the training [s].
-        made: versions and machine (`provenance.made_with`, and the device).
-
-    Raises:
-        StorageError: the disk refuses.
     """
     content = weights.path.read_bytes()
     count = sum(value.numel() for value in weights.tensors.values())

@@ -54,11 +54,7 @@ class MeshDynamics:
         *,
         device: str = "cpu",
     ) -> None:
-        """Move the network to its device.
-
-        Raises:
-            InvalidConfigError: the motion's time step is not the network's.
-        """
+        """Move the network to its device."""
         self.config = config or MeshDynamicsConfig()
         self.coarse = LEARNED_MESH
         if abs(self.config.motion.time_step_s - network.config.step_s) > 1e-9:
@@ -138,15 +134,7 @@ def springs_of(flat: ClothMesh) -> Springs:
 
 
 def load_mesh_dynamics(path: Path, *, device: str = "cpu") -> MeshDynamics:
-    """Return learned dynamics from a weights file; no code in it is executed.
-
-    Args:
-        path: weights file.
-        device: device to compute on.
-
-    Raises:
-        InvalidResultError: the file is missing, damaged, or of another network.
-    """
+    """Return learned dynamics from a weights file; no code in it is executed."""
     weights = load_weights(path)
     known = {one.name for one in fields(MeshNetworkConfig)}
     if set(weights.network) != known:

@@ -171,10 +171,6 @@ class MeshNetwork(nn.Module):
             positions: vertices (B, V, 3) [m].
             velocities: past velocities (B, V, history, 3), the latest last [m/s].
             height: height of the vertices above the table (B, V) [m].
-            held: whether each vertex is held (B, V).
-            near: pairs of vertices that are near each other (B, V, V); those that share no edge get
-                a collision edge.
-            springs: edges of the mesh.
         """
         config = self.config
         cloths, vertices, _ = positions.shape
@@ -235,16 +231,10 @@ def advance(
     """Return the state after one semi-implicit Euler step, with held vertices at their targets.
 
     Args:
-        network: network that predicts the accelerations.
         positions: vertices (B, V, 3) [m].
         velocities: past velocities (B, V, history, 3) [m/s].
-        held: whether each vertex is held (B, V).
-        springs: edges of the mesh.
         targets: positions of held vertices after the step (B, V, 3) [m].
         lowest_m: least height of a vertex [m].
-
-    Returns:
-        Positions and past velocities after the step.
     """
     config, step_s = network.config, network.config.step_s
     near = contacts(positions, config.collision_radius_m)
@@ -281,11 +271,7 @@ def roll_out(
     """Return the vertices after steps of the model from rest (B, V, 3) [m], without gradients.
 
     Args:
-        network: network that predicts the accelerations.
         positions: vertices at the start (B, V, 3) [m].
-        springs: edges of the mesh.
-        ways: held vertices and their paths.
-        steps: number of steps of the model, the last ones with nothing held.
         lowest_m: least height of a vertex [m].
     """
     every = torch.arange(len(positions), device=positions.device)

@@ -16,8 +16,6 @@ class Springs:
     """The edges of a mesh, each in both directions.
 
     Attributes:
-        sender: start vertex of each edge.
-        receiver: end vertex of each edge.
         rest: length in the flat garment [m].
         joined: matrix of the vertex pairs that share an edge or are the same.
         count: number of edges of each vertex, at least one.
@@ -54,9 +52,6 @@ def nearer_to_rest(
 
     Args:
         positions: vertices (B, V, 3) [m].
-        held: whether each vertex is held (B, V).
-        springs: edges of the mesh.
-        unfolding: share of the correction for edges that are too short.
     """
     gap = positions[:, springs.sender] - positions[:, springs.receiver]
     length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
@@ -96,9 +91,6 @@ def dragged(before: Tensor, after: Tensor, near: Tensor, held: Tensor, *, times:
     Args:
         before: vertices at the start of the step (B, V, 3) [m].
         after: vertices after the step without friction (B, V, 3) [m].
-        near: pairs of vertices that are near each other, including themselves (B, V, V).
-        held: whether each vertex is held (B, V); held ones keep their positions.
-        times: number of repetitions.
     """
     moved = after - before
     share = near.to(moved.dtype)

@@ -77,7 +77,6 @@ class Windows:
         past: noisy positions before and at the start (windows, history + 1, vertices, 3) [m].
         future: true positions after it (windows, unrolled, vertices, 3) [m].
         held: whether each vertex is held during each future step (windows, unrolled, vertices).
-        springs: edges of the mesh.
     """
 
     past: Tensor
@@ -99,11 +98,7 @@ class WindowExamples:
     def __init__(
         self, shards: Sequence[Path], config: DynamicsTrainingConfig, *, noisy: bool = True
     ) -> None:
-        """Store the paths of the shards.
-
-        Raises:
-            InvalidConfigError: there are none.
-        """
+        """Store the paths of the shards."""
         if not shards:
             raise InvalidConfigError("no shard of roll-outs is given; make some first")
         self.shards, self.config, self.noisy = list(shards), config, noisy
@@ -242,25 +237,7 @@ def train_mesh_dynamics(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> TrainingOutcome:
-    """Train mesh dynamics on roll-outs, or resume an earlier run.
-
-    Args:
-        shards: shards of one or several kinds of garment; one in ten is held out for model
-            selection.
-        kind: names of the garments.
-        config: training configuration.
-        folder: folder for progress, scalars and best.safetensors.
-        device: device to compute on.
-        progress: function called after every step.
-
-    Returns:
-        The outcome with the best weights, which have a card next to them (`mesh_card`).
-
-    Raises:
-        InvalidConfigError: there are fewer than two shards.
-        InvalidResultError: shards or progress are damaged or belong to another training.
-        StorageError: the disk refuses.
-    """
+    """Train mesh dynamics on roll-outs, or resume an earlier run."""
     examples = WindowExamples(shards, config)
     calm = WindowExamples(shards, config, noisy=False)
     chosen, held_out = split_by_group(examples.groups, config.loop.held_out_share, config.loop.seed)
@@ -300,11 +277,7 @@ def train_mesh_dynamics(
 def whole_roll_outs(
     network: MeshNetwork, shards: Sequence[Path], *, device: str = "cpu"
 ) -> Mapping[str, float]:
-    """Return the mean distances to the simulator at the end of whole roll-outs, by name [mm].
-
-    Raises:
-        InvalidResultError: a shard is damaged.
-    """
+    """Return the mean distances to the simulator at the end of whole roll-outs, by name [mm]."""
     ends, still = [], []
     for path in shards:
         shard = read_roll_outs(path).every(network.config.step_s)

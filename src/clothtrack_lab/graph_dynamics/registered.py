@@ -9,11 +9,7 @@ SHIPPED_WEIGHTS = Path(__file__).parent / "weights" / "mesh_dynamics.safetensors
 
 
 def load(weights: Path, *, device: str = "cpu") -> PlanningDynamics:
-    """Return the mesh dynamics from a weights file; PyTorch is imported only here.
-
-    Raises:
-        InvalidResultError: the weights are missing, damaged or of another network.
-    """
+    """Return the mesh dynamics from a weights file; PyTorch is imported only here."""
     from clothtrack_lab.graph_dynamics.mesh_dynamics import load_mesh_dynamics
 
     return load_mesh_dynamics(weights, device=device)

@@ -125,7 +125,6 @@ class RollOutShard:
     Attributes:
         mesh: coarse garment at rest [m].
         positions: its vertices at every kept moment [m], the first before the motion.
-        held: held vertex; -1 for none.
         held_frames: number of moments for which it is held, the first excluded.
         frame_s: time between two moments [s].
     """
@@ -140,9 +139,6 @@ class RollOutShard:
         """Return the roll-outs with one moment kept per `step_s`.
 
         The vertex counts as held until the first kept moment after its release.
-
-        Raises:
-            InvalidConfigError: the step is not a multiple of the time between moments.
         """
         stride = frames_per_step(step_s, self.frame_s)
         return replace(
@@ -154,11 +150,7 @@ class RollOutShard:
 
 
 def frames_per_step(step_s: float, frame_s: float) -> int:
-    """Return the number of kept moments of roll-outs per step of a model.
-
-    Raises:
-        InvalidConfigError: the step is not a multiple of the time between two moments.
-    """
+    """Return the number of kept moments of roll-outs per step of a model."""
     stride = round(step_s / frame_s)
     if stride < 1 or abs(stride * frame_s - step_s) > 1e-9:
         raise InvalidConfigError(
@@ -178,21 +170,7 @@ def generate_roll_outs(
     processes: int = 1,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Make at least `count` roll-outs, in whole shards; finished ones are kept.
-
-    Args:
-        out: folder for `shards/` and the configuration file.
-        kind: kind of garment.
-        count: number of roll-outs.
-        seed: seed of all random draws.
-        config: configuration of the roll-outs.
-        processes: number of worker processes.
-        progress: function called with the kept shards, and after each further one.
-
-    Raises:
-        InvalidConfigError: there are no workers or roll-outs, or `out` holds others.
-        StorageError: the disk refuses.
-    """
+    """Make at least `count` roll-outs, in whole shards; finished ones are kept."""
     require_workers(processes)
     if count < 1:
         raise InvalidConfigError(f"the number of roll-outs is {count}; give at least 1")
@@ -219,11 +197,7 @@ def generate_roll_outs(
 def make_roll_outs(
     kind: GarmentKind, number: int, seed: int, config: RollOutConfig
 ) -> RollOutShard:
-    """Return shard `number`, which depends only on the seed and the number.
-
-    Raises:
-        SimulationDivergedError: fewer than half of the roll-outs stayed finite.
-    """
+    """Return shard `number`, which depends only on the seed and the number."""
     rng = np.random.default_rng([_OF_ROLL_OUTS, seed, number, list(DEFAULT_SIZES_M).index(kind)])
     states = replace(config.states, vertex_count=config.vertex_count)
     fine = draw_garment(kind, states.garments, states.vertex_count, rng)
@@ -316,11 +290,7 @@ def _joined(
 
 
 def _write_roll_outs(shard: RollOutShard, path: Path) -> None:
-    """Write a shard, completely or not at all.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write a shard, completely or not at all."""
     with atomic_file(path) as unfinished:
         np.savez_compressed(
             unfinished,
@@ -334,11 +304,7 @@ def _write_roll_outs(shard: RollOutShard, path: Path) -> None:
 
 
 def read_roll_outs(path: Path) -> RollOutShard:
-    """Read a shard; no code in it is executed.
-
-    Raises:
-        InvalidResultError: the file is missing or damaged.
-    """
+    """Read a shard; no code in it is executed."""
     try:
         with np.load(path, allow_pickle=False) as file:
             return RollOutShard(

@@ -26,7 +26,6 @@ class CanonicalFrame:
     The origin maps to the middle of the cube.
 
     Attributes:
-        kind: category of garments.
         scale: edges of the cube per meter [1/m].
         half_m: half extent along each axis of the largest garment of the category [m].
     """
@@ -54,14 +53,7 @@ _LEAST_INFLATION = 0.05
 
 
 def canonical_frame(kind: str) -> CanonicalFrame:
-    """Return the unit cube of a category, with room for all its sizes and a margin.
-
-    Args:
-        kind: "towel" or "tshirt".
-
-    Raises:
-        InvalidConfigError: the category has no canonical pose.
-    """
+    """Return the unit cube of a category, with room for all its sizes and a margin."""
     _check_kind(kind)
     width, length = LARGEST_SIZE_M[kind]
     depth = _INFLATION * width if kind == "tshirt" else 0.0
@@ -78,10 +70,6 @@ def conventional(
     this convention, so the sides decide a quarter turn if they differ. A towel that is nearly as
     wide as long stays ambiguous by a quarter turn. The networks then have to guess, and errors up
     to `symmetries` contain wrong guesses.
-
-    Args:
-        canonical: coordinates of all vertices of a garment, about the origin.
-        kind: "towel" or "tshirt".
     """
     extent = np.ptp(canonical, axis=0)
     if kind not in SHEETS or extent[0] >= extent[1]:
@@ -91,12 +79,7 @@ def conventional(
 
 
 def check_canonical(canonical: Float[np.ndarray, "vertices 3"], kind: str) -> None:
-    """Refuse a canonical pose [m] that is ambiguous or too large for its category's cube.
-
-    Raises:
-        InvalidConfigError: the pose reaches out of the cube, layers of the garment coincide, or the
-            category has no cube.
-    """
+    """Refuse a canonical pose [m] that is ambiguous or too large for its category's cube."""
     reach = float(np.abs(canonical_frame(kind).to_unit(canonical) - 0.5).max())
     if not reach <= 0.5:
         half_m = 0.5 / canonical_frame(kind).scale

@@ -21,9 +21,7 @@ class _UNet(nn.Module):
     """An encoder and decoder with skip connections; features have half the picture's resolution.
 
     Args:
-        inputs: channels of the picture.
         widths: channels at each resolution, halved from one to the next.
-        outputs: channels of a feature.
     """
 
     def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int) -> None:
@@ -66,7 +64,6 @@ class Canonicaliser(nn.Module):
     """A network from a depth picture to a distribution over bins per canonical axis.
 
     Attributes:
-        config: sizes of the network.
         channels: channels of a pixel's feature, which is also an input of the completion.
     """
 
@@ -103,10 +100,6 @@ class Canonicaliser(nn.Module):
         """Return the logits of the bins of each axis, at these pixels only.
 
         Other pixels are not computed, because most of a picture is table.
-
-        Args:
-            features: from `forward`.
-            pixels: picture, row and column in the canonical picture (`output_size` wide).
         """
         chosen = self.pixel_features(features, pixels)
         return self.bins(chosen).reshape(len(pixels), 3, self.config.bins)
@@ -148,13 +141,6 @@ def coordinates(
 
     The coordinate is the mean of the bins around the best one, weighted by their probability. It
     avoids the half-bin error of the best bin alone and ignores a competing answer elsewhere.
-
-    Args:
-        logits: logits of the bins of each axis.
-        window: number of bins on either side of the best one.
-
-    Returns:
-        The coordinates, where bin k stands for (k + 0.5) / bins, and the probability in the window.
     """
     count = logits.shape[-1]
     probability = logits.float().softmax(dim=-1)
@@ -189,13 +175,6 @@ def symmetry_losses(
     """Return the cross entropy of each picture for each symmetry of the garment [nat].
 
     It is the mean over axes and the picture's pixels, and 0 for a picture without pixels.
-
-    Args:
-        logits: logits of the bins of each axis.
-        targets: true coordinates in the unit cube.
-        image_of_pixel: picture of each pixel.
-        symmetries: signs about the center (`canonical_frame.symmetries`).
-        images: number of pictures.
     """
     log_probability = logits.float().log_softmax(dim=-1)
     sums = log_probability.new_zeros(images, len(symmetries))
@@ -218,13 +197,6 @@ def canonical_loss(
 
     Which symmetry is true cannot be seen, so any of them is right. It must be the same for the
     whole picture, because otherwise the map would tear.
-
-    Args:
-        logits: logits of the bins of each axis.
-        targets: true coordinates in the unit cube.
-        image_of_pixel: picture of each pixel.
-        symmetries: signs about the center (`canonical_frame.symmetries`).
-        images: number of pictures; one without pixels is left out.
     """
     losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, images)
     shown = torch.bincount(image_of_pixel, minlength=images) > 0

@@ -33,8 +33,6 @@ class ObservedPoints:
         confidence: confidence of each canonical coordinate, 0 to 1.
         aligned: measured position, rotated into the canonical frame (`alignment_frame`), in edges
             of the cube from its middle.
-        image: picture of each point.
-        images: number of pictures.
     """
 
     features: Float[Tensor, "points channels"]
@@ -52,15 +50,7 @@ def scatter_max(
     images: int,
     cells: tuple[int, int, int],
 ) -> Float[Tensor, "images channels x y z"]:
-    """Return the largest value per channel of the points in each cell of a box; 0 if empty.
-
-    Args:
-        values: values of the points, not negative.
-        unit: positions of the points in the box, each coordinate from 0 to 1.
-        image: volume of each point.
-        images: number of volumes.
-        cells: number of cells along x, y and z.
-    """
+    """Return the largest value per channel of the points in each cell of a box; 0 if empty."""
     wide, long, high = cells
     x, y, z = _cell_of(unit, cells).unbind(dim=1)
     index = ((image * wide + x) * long + y) * high + z
@@ -89,13 +79,7 @@ def in_box(unit: Float[Tensor, "*points 3"], config: NetworkConfig) -> Float[Ten
 def sample(
     volume: Float[Tensor, "batch channels x y z"], queries: Float[Tensor, "batch queries 3"]
 ) -> Float[Tensor, "batch queries channels"]:
-    """Return a volume at positions in its box, linear between the centers of its cells.
-
-    Args:
-        volume: axes x, y, z.
-        queries: positions (x, y, z) in the box, each from 0 to 1; beyond it the border's value is
-            used.
-    """
+    """Return a volume at positions in its box, linear between the centers of its cells."""
     # `grid_sample` takes the last axis first and runs from -1 to 1 between the outer cell walls.
     grid = (2.0 * queries - 1.0).flip(-1)[:, :, None, None, :]
     found = functional.grid_sample(
@@ -155,7 +139,6 @@ class Completion(nn.Module):
     """A network from visible points to a feature volume and the winding number in it.
 
     Args:
-        config: sizes of the network.
         point_channels: channels of a pixel's feature.
     """
 
@@ -192,12 +175,7 @@ class Completion(nn.Module):
         volume: Float[Tensor, "batch channels x y z"],
         nodes: Float[Tensor, "nodes 3"],
     ) -> Float[Tensor, "batch nodes"]:
-        """Return the winding number at many positions, the same ones for every picture.
-
-        Args:
-            volume: volume from `forward`.
-            nodes: positions in the unit cube (`surface.FieldGrid.nodes`).
-        """
+        """Return the winding number at many positions, the same ones for every picture."""
         pieces = [
             self.winding(volume, piece.expand(len(volume), -1, -1))
             for piece in nodes.split(QUERIES_AT_ONCE)

@@ -69,8 +69,6 @@ class Garment:
     """The common data of all states of one garment; a towel's longer side is along x.
 
     Attributes:
-        kind: "towel" or "tshirt".
-        faces: vertex indices per triangle.
         unit: canonical coordinates of the vertices [unit cube].
         face_shares: share of each face in the area of the flat cloth.
         pool: winding numbers of the canonical pose.
@@ -88,13 +86,6 @@ class Garment:
 
         Args:
             mesh: mesh at rest, with canonical coordinates [m].
-            kind: "towel" or "tshirt".
-            config: points where winding numbers are computed.
-            seed: seed of these points.
-
-        Raises:
-            InvalidConfigError: the mesh has no canonical coordinates, the kind has no cube, or they
-                do not fit the cube.
         """
         if mesh.canonical is None:
             raise InvalidConfigError(
@@ -120,10 +111,8 @@ class Example:
         pixels: row and column of each pixel of cloth, in the canonical picture.
         points: measured position of each pixel in the world [m].
         unit: its canonical coordinates [unit cube]; 0 where unknown.
-        labeled: whether they are known.
         surface: canonical coordinates of material points [unit cube].
         positions: positions of these points in the world [m].
-        volume: positions in the unit cube.
         winding: winding number of the canonical garment there.
     """
 
@@ -145,18 +134,7 @@ def draw_example(
     config: ExampleConfig,
     rng: np.random.Generator,
 ) -> Example:
-    """Augment a labeled picture, crop it for the network, and draw queries.
-
-    Args:
-        picture: depth picture and mesh.
-        garment: garment of the mesh.
-        network: configuration of the network that takes the picture.
-        config: augmentation and numbers of queries.
-        rng: source of randomness.
-
-    Raises:
-        InvalidRecordingError: there is no cloth in the picture.
-    """
+    """Augment a labeled picture, crop it for the network, and draw queries."""
     mirror = config.mirror and rng.random() < 0.5
     if mirror:
         picture = picture.mirrored()
@@ -201,12 +179,7 @@ def _canonical_of_points(
 
     Args:
         points: points on the surface measured by the picture's pixels, in the world [m].
-        picture: picture that shows the faces.
-        garment: garment with canonical coordinates.
         cut_m: distance from the mesh beyond which points get none [m].
-
-    Returns:
-        The coordinates, and where they are known.
     """
     face, weights, near = faces_of_points(points, picture, garment.faces, cut_m=cut_m)
     unit = interpolate(weights, garment.unit[garment.faces[face]])
@@ -222,11 +195,8 @@ class Batch:
         pixels: picture, row and column of every pixel of cloth.
         points: measured position of each pixel in the world [m].
         unit: its canonical coordinates [unit cube]; 0 where unknown.
-        labeled: whether they are known.
         surface: canonical coordinates of material points [unit cube].
         positions: positions of these points in the world [m].
-        volume: positions in the unit cube.
-        winding: winding number there.
     """
 
     depth: Float[Tensor, "batch 1 height width"]

@@ -33,8 +33,6 @@ class ResidualBlock(nn.Module):
     """ReLU(x + F(x)), F two 3x3 convolutions, or 1x1, 3x3, 1x1 with a narrow middle.
 
     Args:
-        inputs: channels in.
-        outputs: channels out.
         middle: channels of the narrow middle; None makes the block of two convolutions.
     """
 
@@ -61,7 +59,6 @@ class HRNet(nn.Module):
     """The encoder: a depth picture in, a feature per 4 x 4 pixels out.
 
     Args:
-        inputs: channels of the picture.
         widths: channels of the four branches, from fine to coarse.
     """
 

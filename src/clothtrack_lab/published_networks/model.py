@@ -46,16 +46,11 @@ class MeshReconstructor(nn.Module):
     """Canonicaliser, completion and warp field, with two methods to make a mesh.
 
     Attributes:
-        config: sizes of the networks.
         frame: canonical cube of its category.
     """
 
     def __init__(self, config: NetworkConfig, kind: str) -> None:
-        """Make untrained networks for one category.
-
-        Raises:
-            InvalidConfigError: the category has no canonical pose.
-        """
+        """Make untrained networks for one category."""
         super().__init__()
         self.config = config
         self.frame: CanonicalFrame = canonical_frame(kind)
@@ -196,12 +191,10 @@ class ObservedCloth:
     """One picture and the networks' outputs for it.
 
     Attributes:
-        view: input picture of the networks.
         found: cloth pixels of the picture.
         seen: their positions and canonical positions.
         confidence: confidence of the least certain axis of each pixel.
         alignment: transform between the world and the canonical frame.
-        volume: completed feature volume.
     """
 
     view: CroppedView
@@ -255,10 +248,6 @@ def network_of(weights: Weights) -> NetworkConfig:
 
     The weights are compared with it before any network is built. So the network is as large as the
     weights in the file, not as large as the file claims.
-
-    Raises:
-        InvalidResultError: this version does not know the configuration, or the weights do not
-            match it.
     """
     try:
         values = {

@@ -29,9 +29,7 @@ def model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, 
     """Return the card as Markdown.
 
     Args:
-        weights: weights of both stages, as written.
         cpu_s: CPU time of each stage [s], by name.
-        made: versions and machine (`provenance.made_with`).
     """
     name = NAMES.get(weights.kind, weights.kind)
     content = weights.path.read_bytes()
@@ -99,11 +97,7 @@ def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
 
 
 def write_model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, Any]) -> Path:
-    """Write the card next to the weights, completely or not at all.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
+    """Write the card next to the weights, completely or not at all."""
     path = weights.path.with_name(CARD)
     with atomic_file(path) as unfinished:
         unfinished.write_text(model_card(weights, cpu_s, made), encoding="utf-8")

@@ -200,14 +200,7 @@ TINY_NETWORK = NetworkConfig(
 
 
 def preset(name: str) -> NetworkConfig:
-    """Return the sizes of a named network.
-
-    Args:
-        name: "small" or "reference".
-
-    Raises:
-        InvalidConfigError: the name is another one.
-    """
+    """Return the sizes of a named network."""
     if name not in PRESETS:
         raise InvalidConfigError(
             f"there is no network {name!r}; choose one of {', '.join(PRESETS)}"

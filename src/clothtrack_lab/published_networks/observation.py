@@ -43,10 +43,7 @@ def observe_pictures(
     """Return canonical positions of chosen pixels, and each picture's alignment with the world.
 
     Args:
-        canonicaliser: network in evaluation mode; it gets no gradients.
-        frame: canonical cube.
         depth: input pictures of the networks [m]; 0 is background.
-        pixels: picture, row and column in the canonical picture.
         points: measured position of each pixel [m], world, z up.
     """
     maps = canonicaliser(depth)

@@ -15,21 +15,7 @@ TRAININGS = ("pretrain", "pretrain_reference", "finetune", "finetune_short", "pa
 
 
 def training_preset(name: str, stage: StageName) -> TrainingConfig:
-    """Return the settings of a kind of training.
-
-    Args:
-        name: "pretrain": the `small` network from scratch; "pretrain_reference": the `reference`
-            network, as MEDOR was trained (arXiv 2209.03287: 1e-4, 350 and 150 epochs); "finetune":
-            on pseudo-labels until the score stops improving; "finetune_short": on the same, with
-            one rise and fall of a 10 times higher rate, minutes instead of hours on a CPU, and
-            three in ten held out, because one trajectory is too little for model selection;
-            "paper": fine-tuning as published, 1,000 and 2,000 epochs.
-        stage: stage to train; the batch size is 8 for canonicalisation and 24 for completion, as in
-            the reference's pretraining (the paper does not state it).
-
-    Raises:
-        InvalidConfigError: there is no such preset.
-    """
+    """Return the settings of a kind of training."""
     if name not in TRAININGS:
         raise InvalidConfigError(f"training preset is {name!r}; known are {', '.join(TRAININGS)}")
     first = stage == "canonicalisation"

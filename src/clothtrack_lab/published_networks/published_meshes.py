@@ -48,7 +48,6 @@ class PublishedMeshes:
         states_error: false, because the network does not predict the error of its vertices.
 
     Args:
-        network: network for one kind of garment.
         refinement: configuration of fine-tuning a mesh to its picture.
     """
 
@@ -61,16 +60,7 @@ class PublishedMeshes:
 
     @classmethod
     def load(cls, weights: Weights, kind: str, *, device: str = "cpu") -> "PublishedMeshes":
-        """Return the reconstructor for weights that were read.
-
-        Args:
-            weights: weights of both stages.
-            kind: "towel" or "tshirt".
-            device: device to compute on.
-
-        Raises:
-            InvalidResultError: the weights are damaged or for another garment.
-        """
+        """Return the reconstructor for weights that were read."""
         if weights.kind != kind:
             raise InvalidResultError(
                 f"{weights.path} is for {weights.kind!r:.80}, the picture shows {kind!r}; give "
@@ -125,10 +115,8 @@ class _Answer:
     """The published network's output for a picture.
 
     Attributes:
-        reconstruction: reconstructed mesh.
         canonical: canonical coordinates of the mesh's vertices, in the convention of the observed
             points; None without a mesh.
-        scale: scale as in `NetworkMesh`.
     """
 
     reconstruction: Reconstruction

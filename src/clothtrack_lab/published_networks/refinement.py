@@ -103,14 +103,8 @@ class Refiner:
         mesh: reconstruction in the world [m]; its canonical coordinates [m], if any, are in the
             convention of the observed ones.
         observation: cloud and the cameras that saw it.
-        config: terms and their weights.
         rest: flat garment at rest with the mesh's vertices; None if it is not known. Then edges
             keep the lengths of the reconstruction, and vertices are displaced directly.
-        table: table under the cloth.
-        device: "cpu" or "cuda:0".
-
-    Raises:
-        InvalidMeshError: mesh and rest have different triangles.
     """
 
     def __init__(
@@ -142,11 +136,7 @@ class Refiner:
             self._dynamics = self._laid_out(rest, device)
 
     def refine(self, seen: SeenPoints | None = None) -> Refinement:
-        """Correct the mesh, and keep the result nearest to the cloud.
-
-        Args:
-            seen: observed points with canonical coordinates; None leaves consistency out.
-        """
+        """Correct the mesh, and keep the result nearest to the cloud."""
         config = self._config
         positions = self._mesh.vertices.astype(np.float64)
         tried, scores = [positions], [self._score(positions)]
@@ -228,11 +218,6 @@ def consistent_displacement(
 
     Args:
         mesh: mesh in the world [m], with canonical coordinates.
-        seen: observed points.
-        config: weights and limits.
-
-    Raises:
-        InvalidMeshError: the mesh has no canonical coordinates.
     """
     if mesh.canonical is None:
         raise InvalidMeshError(

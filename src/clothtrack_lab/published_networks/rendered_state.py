@@ -38,9 +38,6 @@ def render(
 
     Args:
         positions: vertices in the world [m].
-        mesh: mesh of the garment.
-        config: configuration of the cameras.
-        rng: source of the camera and its noise.
     """
     camera = _camera_above(positions, config, rng)
     drawn = Rasterizer(mesh.faces, camera).render(positions)

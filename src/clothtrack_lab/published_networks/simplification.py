@@ -54,11 +54,7 @@ def without_short_edges(
 
     Args:
         vertices: positions [m].
-        faces: faces of a manifold.
         shortest: length below which edges are collapsed [m].
-
-    Returns:
-        The used vertices and the faces.
     """
     for turn in range(ROUNDS):
         # An edge that may not collapse blocks its neighbors, so reverse the order in every second

@@ -35,12 +35,7 @@ _CLOSE = 0.05
 
 
 class CanonicalisationStage(Stage):
-    """Stage 1: cross entropy of the bins, per picture the least over the symmetries.
-
-    Args:
-        canonicaliser: network to train.
-        kind: kind of garment.
-    """
+    """Stage 1: cross entropy of the bins, per picture the least over the symmetries."""
 
     name = "canonicalisation"
     # A network that predicts the mean of all poses minimizes the mean error but not the median.
@@ -99,9 +94,6 @@ class CompletionStage(Stage):
 
     Args:
         canonicaliser: trained and frozen network of stage 1.
-        completion: network to train.
-        warp: warp field to train.
-        kind: kind of garment.
     """
 
     name = "completion"

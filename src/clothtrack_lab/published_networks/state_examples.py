@@ -41,13 +41,6 @@ class StateExamples:
     Args:
         sets: folders of states, all of one kind of garment.
         network: configuration of the network that takes the pictures.
-        config: augmentation and numbers of queries.
-        rendering: configuration of the cameras.
-        seed: seed of all random draws.
-
-    Raises:
-        InvalidConfigError: there is no state, or the sets are of several kinds.
-        InvalidResultError: a shard is damaged.
     """
 
     def __init__(
@@ -91,9 +84,6 @@ class StateExamples:
 
         A camera may measure too little cloth for the network, most often of a narrow cloth that
         hangs behind a hand. Then the state is rendered again, and finally another state is used.
-
-        Raises:
-            InvalidRecordingError: several states in turn could not be rendered.
         """
         index, epoch = draw
         rng = np.random.default_rng([self.seed, epoch, index])
@@ -147,13 +137,7 @@ class PseudoLabelExamples:
     """The labeled pictures of recordings as examples.
 
     Args:
-        recordings: labeled recordings, all of one kind.
         network: configuration of the network that takes the pictures.
-        config: augmentation and numbers of queries.
-        seed: seed of all random draws.
-
-    Raises:
-        InvalidResultError: there is no label, or they are of several kinds.
     """
 
     def __init__(

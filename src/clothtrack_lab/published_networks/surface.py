@@ -71,12 +71,7 @@ class FieldGrid:
 
 
 def field_grid(frame: CanonicalFrame, config: NetworkConfig) -> FieldGrid:
-    """Return the nodes that garments of a category can reach, which are few layers for flat ones.
-
-    Args:
-        frame: cube of the category.
-        config: nodes per edge and margin.
-    """
+    """Return the nodes that garments of a category can reach: few layers for flat ones."""
     half = np.asarray(frame.half_m)
     box = frame.to_unit(np.stack([-half, half]))
     low, high = box * (config.grid - 1)
@@ -90,20 +85,7 @@ def field_grid(frame: CanonicalFrame, config: NetworkConfig) -> FieldGrid:
 def extract_surface(
     field: Float[np.ndarray, "x y z"], frame: CanonicalFrame, config: NetworkConfig
 ) -> Surface:
-    """Return the largest component of a garment's surface, as a mesh that the solver can use.
-
-    Args:
-        field: winding numbers at the nodes of `field_grid`.
-        frame: cube of the category.
-        config: trim and shortest edge.
-
-    Returns:
-        The mesh, or the reason why there is none, because an empty field is a normal output of an
-        untrained network.
-
-    Raises:
-        InvalidConfigError: the level of the category is not known.
-    """
+    """Return the largest component of a garment's surface, as a mesh that the solver can use."""
     if frame.kind not in _LEVELS:
         raise InvalidConfigError(
             f"kind is {frame.kind!r}; a surface is known for {', '.join(_LEVELS)}"

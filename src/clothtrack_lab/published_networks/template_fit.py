@@ -86,10 +86,7 @@ def template_of(
     """Return the flat garment of a category in the size given by canonical coordinates.
 
     Args:
-        frame: cube of the category.
-        seen: canonical coordinates, whose extent is that of the garment if its rim is visible.
         size_m: width and length if known [m].
-        vertex_count: approximate number of vertices.
     """
     if size_m is None:
         usual = np.array(DEFAULT_SIZES_M[frame.kind])
@@ -112,17 +109,7 @@ def fit_template(
     """Return the template fitted to the observed garment.
 
     Args:
-        template: flat garment at rest with canonical coordinates.
-        seen: measured points with canonical coordinates.
-        config: weights and solver steps.
         warp: vertex positions by the warp field [m], world; None leaves it out.
-        table: table under the cloth; at the height of the lowest visible points when None.
-
-    Returns:
-        The mesh in the world; its canonical coordinates are the template's.
-
-    Raises:
-        InvalidConfigError: the template has no canonical coordinates.
     """
     vertices, sightings = _least_squares(template, seen, config, warp)
     if config.pulls:

@@ -150,7 +150,6 @@ class _Material:
     """The training data of both stages.
 
     Attributes:
-        examples: all examples.
         groups: group of each example: its episode or trajectory.
         data: description of their origin, stored with the weights.
         start: initial weights; fresh ones when None.

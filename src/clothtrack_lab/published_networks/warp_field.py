@@ -17,11 +17,7 @@ RESIDUAL_M = 0.1
 
 
 class WarpField(nn.Module):
-    """A decoder of the displacement of canonical points from the completed volume.
-
-    Args:
-        config: sizes of the network.
-    """
+    """A decoder of the displacement of canonical points from the completed volume."""
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
@@ -38,12 +34,7 @@ class WarpField(nn.Module):
         volume: Float[Tensor, "batch channels x y z"],
         queries: Float[Tensor, "batch queries 3"],
     ) -> Float[Tensor, "batch queries 3"]:
-        """Return displacements [m] in the frame in which the observation is aligned.
-
-        Args:
-            volume: volume from `Completion`.
-            queries: canonical points in the unit cube.
-        """
+        """Return displacements [m] in the frame in which the observation is aligned."""
         read = sample(volume, in_box(queries, self.config))
         known = torch.cat([read, queries - 0.5], dim=-1)
         return RESIDUAL_M * self.decoder(known)

@@ -46,13 +46,7 @@ def winding_numbers(
     faces: Int[np.ndarray, "faces 3"],
     points: Float[np.ndarray, "points 3"],
 ) -> Float[np.ndarray, " points"]:
-    """Return the generalized winding number of a mesh at each point, to about 1e-2.
-
-    Args:
-        vertices: vertices of the mesh, in the same unit as the points.
-        faces: vertex indices per triangle, outward where there is an outside.
-        points: points at which to compute it.
-    """
+    """Return the generalized winding number of a mesh at each point, to about 1e-2."""
     found = igl.fast_winding_number(
         np.ascontiguousarray(vertices, np.float64),
         np.ascontiguousarray(faces, np.int64),
@@ -72,9 +66,6 @@ def winding_pool(
 
     Args:
         vertices: vertices of the canonical mesh [unit cube].
-        faces: vertex indices per triangle.
-        config: number and distribution of points.
-        seed: seed of the points.
     """
     rng = np.random.default_rng(seed)
     near = round(config.near_share * config.pool)

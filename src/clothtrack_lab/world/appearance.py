@@ -50,7 +50,6 @@ class Appearance:
         cloth: name of the cloth's color, a key of `CLOTH_COLORS`.
         weave: strength of the woven pattern, as a share of the brightness.
         weave_period_m: period of its stripes [m].
-        table_seed: seed of the wood grain.
         tip: name of the color of the tool's tip, a key of `TIP_COLORS`; gray like the rest of the
             tool when None.
         print_seed: seed of a print on the cloth, whose pictures then also have noise (`_GRAIN`);

@@ -56,13 +56,10 @@ class Ranges:
         tshirt_width_m: width of a T-shirt from sleeve to sleeve [m].
         tshirt_length_m: length of a T-shirt [m].
         young_pa: Young's modulus [Pa].
-        poisson: Poisson's ratio.
         thickness_m: thickness of the elastic shell [m]; with `young_pa` it determines the bending
             stiffness, 0.1 to 1.7 micronewton meters.
         area_density: mass per area [kg/m^2].
         contact_radius_m: half the distance between layers [m], which is half the cloth's thickness.
-        table_friction: Coulomb coefficient between cloth and table.
-        cloth_friction: Coulomb coefficient between cloth and cloth.
         distance_over_size: distance of the camera from the table [m] minus 0.3 m, over the longer
             side of the garment [m].
         tilt_deg: standard deviation of the camera's tilt about x, about y and of its roll [deg].
@@ -70,7 +67,6 @@ class Ranges:
         white_m: standard deviation of independent depth noise [m] at 0.75 m.
         wave_m: standard deviation of slowly varying depth error [m].
         dropout: share of pixels without depth on surfaces seen from the front.
-        grazing_dropout: additional share on surfaces seen edge-on.
         edge_dropout: share of silhouette pixels without depth.
         edge_mixing: share of the other silhouette pixels that mix both depths.
         patch_dropout: share of the picture without depth in connected patches.
@@ -115,11 +111,6 @@ class BenchTrajectory:
     """One trajectory of the benchmark.
 
     Attributes:
-        name: name of its recording and its truth file.
-        kind: kind of garment.
-        split: split that it belongs to.
-        seed: seed of all random draws; if the physics diverges, the next ones are tried in turn.
-        hardness: kind of difficulty.
         changes: replaced fields of the drawn configuration; none in the benchmark except `printed`
             in its printed variant.
     """
@@ -144,13 +135,7 @@ class BenchTrajectory:
 def trajectories(
     splits: tuple[Split, ...] = SPLITS, *, printed: bool = False
 ) -> list[BenchTrajectory]:
-    """Return the trajectories of some splits, in their order.
-
-    Args:
-        splits: splits to return.
-        printed: whether to return the variant with a print on the cloth; everything else is the
-            same.
-    """
+    """Return the trajectories of some splits, in their order."""
     changes = {"printed": True} if printed else {}
     return [replace(one, changes=changes) for one in _all() if one.split in splits]
 

@@ -52,23 +52,6 @@ def generate_bench(
     A trajectory that is listed in `out/bench.json` and still matches its checksums is kept. Any
     other is recorded again and overwrites earlier remains. An interrupt keeps finished
     trajectories.
-
-    Args:
-        out: folder of the benchmark.
-        selected: trajectories to record; all of the benchmark when None.
-        processes: number of worker processes.
-        progress: function called at the start and after each trajectory, including kept ones.
-        ray: address of the Ray cluster to run on; worker processes by default.
-
-    Returns:
-        The entries of the trajectories, in order.
-
-    Raises:
-        InvalidConfigError: there are no workers, another run writes to `out`, or it holds a
-            benchmark that was made with other settings.
-        SimulationDivergedError: the physics of a trajectory diverges with all its spare seeds.
-        ClothTrackError: a worker died.
-        StorageError: the disk refuses.
     """
     require_workers(processes)
     out, selected = Path(out), list(trajectories() if selected is None else selected)
@@ -128,15 +111,7 @@ def table(entries: Sequence[Entry]) -> str:
 
 
 def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -> list[str]:
-    """Return one line per trajectory on disk that does not match the benchmark's list.
-
-    Args:
-        out: folder of the benchmark.
-        selected: trajectories that must exist; those of the list when None.
-
-    Raises:
-        InvalidResultError: there is no list, or it cannot be read.
-    """
+    """Return one line per trajectory on disk that does not match the benchmark's list."""
     listed = _read_list(out)
     if not listed:
         raise InvalidResultError(

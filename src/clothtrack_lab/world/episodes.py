@@ -120,26 +120,7 @@ def simulate_trajectory(
     name: str | None = None,
     tip_color: str | None = None,
 ) -> Path:
-    """Record a flat garment and random pick-and-places, with the tool away after each.
-
-    Args:
-        kind: kind of garment.
-        seed: seed of fabric, pose, actions, camera and noise.
-        out: folder for `recordings/` and `truth/`.
-        config: configuration of the episode.
-        garment: garment to record instead of one made for this seed; its size is that of the
-            configuration.
-        name: name of the recording; `KIND_SEED` by default.
-        tip_color: color of a marked tip, a key of `TIP_COLORS`; the whole tool is gray by default.
-            Nothing else depends on it.
-
-    Returns:
-        The folder of the recording.
-
-    Raises:
-        SimulationDivergedError: the physics diverges.
-        StorageError: the recording exists or the disk refuses.
-    """
+    """Record a flat garment and random pick-and-places, with the tool away after each."""
     config = config or EpisodeConfig()
     name = name or recording_name(kind, seed, garment)
     root = np.random.SeedSequence([seed, list(DEFAULT_SIZES_M).index(kind)])

@@ -34,26 +34,6 @@ def simulate(
 
     Existing recordings are left unchanged, so an interrupted run can be resumed. Trajectories whose
     physics diverges are logged and left out.
-
-    Args:
-        out: folder for `recordings/` and `truth/`.
-        kind: kind of garment.
-        trajectories: number of trajectories.
-        seed: seed of the first one.
-        config: configuration of the episodes.
-        garment: garment of all trajectories, instead of one made for each.
-        processes: number of worker processes.
-        progress: function called at the start and after each trajectory.
-        ray: address of the Ray cluster to run on; worker processes by default.
-
-    Returns:
-        The folders of the recordings.
-
-    Raises:
-        InvalidConfigError: there are no workers, no trajectories are requested, or another run
-            writes to `out`.
-        ClothTrackError: a worker died.
-        StorageError: the disk refuses.
     """
     require_workers(processes)
     if trajectories < 1:

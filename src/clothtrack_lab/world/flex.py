@@ -36,12 +36,9 @@ class Fabric:
 
     Attributes:
         young_pa: Young's modulus [Pa]; 4e4 at half a millimeter hangs like a cotton shirt.
-        poisson: Poisson's ratio.
         thickness_m: thickness of the elastic shell [m]; bending stiffness grows with its cube.
         area_density: mass per area [kg/m^2].
         damping_s: stiffness-proportional damping of the shell [s].
-        table_friction: Coulomb coefficient between cloth and table.
-        cloth_friction: Coulomb coefficient between cloth and cloth.
         contact_radius_m: half the distance between two layers [m]; the cloth lies at this height.
     """
 
@@ -79,14 +76,9 @@ class FlexWorld:
         """Place the cloth at its vertices, unstretched and at rest.
 
         Args:
-            mesh: mesh of the cloth.
-            fabric: material of the cloth.
             contact_s: time constant with which two layers are pushed apart [s], at least two time
                 steps. The usual one suits folding a lying cloth. A dropped shirt passes through
                 itself with it (100 edges through triangles), and hardly with half of it.
-
-        Raises:
-            InvalidConfigError: the cloth starts under the table, or contacts are too hard.
         """
         if not contact_s >= 2.0 * TIME_STEP_S:
             raise InvalidConfigError(
@@ -121,11 +113,7 @@ class FlexWorld:
         return float(np.sqrt(3.0 * np.mean(np.square(self._data.qvel))))
 
     def grasp(self, vertices: Int[np.ndarray, " held"], tip: Float[np.ndarray, " 3"]) -> None:
-        """Close the gripper at `tip` [m]; these vertices follow it with constant offsets.
-
-        Raises:
-            InvalidConfigError: there are more vertices than a gripper can hold.
-        """
+        """Close the gripper at `tip` [m]; these vertices follow it with constant offsets."""
         if len(vertices) > _GRASP_SLOTS:
             raise InvalidConfigError(
                 f"{len(vertices)} vertices to grasp; the gripper holds at most {_GRASP_SLOTS}"
@@ -155,11 +143,7 @@ class FlexWorld:
         self._data.eq_active[:] = False
 
     def step(self, count: int = 1) -> None:
-        """Advance by `count` steps of `TIME_STEP_S`.
-
-        Raises:
-            SimulationDivergedError: a position is no longer finite.
-        """
+        """Advance by `count` steps of `TIME_STEP_S`."""
         mujoco.mj_step(self._model, self._data, count)
         if not np.isfinite(self._data.qpos).all() or self._data.warning.number[:].any():
             raise SimulationDivergedError(
@@ -175,11 +159,7 @@ class FlexWorld:
         return state
 
     def restore(self, state: Float[np.ndarray, " values"]) -> None:
-        """Restore a saved state of the same cloth; nothing is held then.
-
-        Raises:
-            InvalidConfigError: the state is of another cloth.
-        """
+        """Restore a saved state of the same cloth; nothing is held then."""
         size = mujoco.mj_stateSize(self._model, _STATE)
         if len(state) != size:
             raise InvalidConfigError(

@@ -44,8 +44,6 @@ class OneGarment:
     """A garment, and the table that it is recorded on.
 
     Attributes:
-        kind: towel or T-shirt.
-        seed: seed of all its draws.
         sweater: whether a shirt has the long sleeves and the wide armholes of a sweater.
     """
 
@@ -54,11 +52,7 @@ class OneGarment:
     sweater: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse invalid settings.
-
-        Raises:
-            InvalidConfigError: the seed is negative, or a towel is a sweater.
-        """
+        """Refuse invalid settings."""
         if self.seed < 0:
             raise InvalidConfigError(f"garment_seed is {self.seed}; give 0 or more")
         if self.sweater and self.kind != "tshirt":
@@ -81,12 +75,7 @@ class OneGarment:
         return outline, (width_m := float(rng.uniform(*_SHIRT_WIDTHS_M)), width_m / widest)
 
     def flat(self, *, vertex_count: int = 1000, again: bool = False) -> ClothMesh:
-        """Return the garment at rest, around the origin.
-
-        Args:
-            vertex_count: approximate number of vertices.
-            again: whether to use another triangulation than the world's, as for a template.
-        """
+        """Return the garment at rest, around the origin."""
         outline, size_m = self.cut
         seed = 2 * self.seed + again
         if outline is None:
@@ -111,11 +100,7 @@ class OneGarment:
         return replace(vary(self.kind, self.seed, ranges), size_m=(width_m, length_m))
 
     def write_template(self, folder: Path) -> Path:
-        """Write the garment's template as `clothtrack garment` makes it from a flat garment.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
+        """Write the garment's template as `clothtrack garment` makes it from a flat garment."""
         path = folder / f"{self.label}.npz"
         if not path.exists():
             write_template(self.flat(again=True), path)

@@ -22,7 +22,6 @@ class Picture:
     """One picture of the camera.
 
     Attributes:
-        color: color picture, red first.
         depth: distance along the optical axis [m]; 0 where nothing was measured.
         hidden_share: share of the cloth's pixels that the tool hides.
         missing_share: share of the other cloth pixels that have no depth.
@@ -74,14 +73,7 @@ class Sensor:
     def __init__(
         self, scene: Scene, config: SensorConfig, appearance: Appearance, *, seed: int
     ) -> None:
-        """Set up the sensor for a scene.
-
-        Args:
-            scene: cloth, tool and camera.
-            config: measurement errors of the camera.
-            appearance: colors of cloth, table and tool.
-            seed: seed of the noise.
-        """
+        """Set up the sensor for a scene."""
         self._scene = scene
         self._config = config
         self._painter = Painter(appearance, scene.table_points)
@@ -107,11 +99,7 @@ class Sensor:
         return {"noise": self._rng.bit_generator.state, "patches": patches}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Restore the noise from `save` of a sensor with the same seed.
-
-        Raises:
-            KeyError, TypeError, ValueError: `saved` is not such a state.
-        """
+        """Restore the noise from `save` of a sensor with the same seed."""
         self._rng.bit_generator.state = saved["noise"]
         if self._patches is not None:
             self._patches.count = int(saved["patches"])

@@ -36,8 +36,6 @@ class SimulatedEpisode:
     """The identification of an episode.
 
     Attributes:
-        kind: the garment.
-        seed: seed of garment, world, start and candidates.
         garment_seed: seed of the garment (`OneGarment`), the same for every episode; None if each
             `seed` has its own garment.
     """
@@ -65,7 +63,6 @@ class EpisodeParts:
         perception: perception of the cloth; made from the configuration when None.
         dynamics: dynamics of the planner; made from the configuration when None.
         starts: folder of crumpled starts, shared by all methods of flattening.
-        propose: policy other than "planned".
     """
 
     perception: Perception | None = None
@@ -85,24 +82,7 @@ def flatten_simulated(
     watch: Watch | None = None,
     progress: Progress | None = None,
 ) -> EpisodeStore:
-    """Flatten one crumpled garment in the simulated world; a finished episode is left unchanged.
-
-    Args:
-        out: folder for episodes, recordings and truth.
-        episode: episode to run.
-        config: configuration of flattening.
-        robot_config: configuration of the world and its robot.
-        parts: parts shared by several episodes.
-        device: device to compute on.
-        watch: function called after every step.
-        progress: function called with every action and its current stage.
-
-    Raises:
-        InvalidConfigError: `out` holds an episode of this name with other settings.
-        InvalidResultError: weights are missing, damaged or of another garment; nothing is written.
-        SimulationDivergedError: the physics diverges.
-        StorageError: the disk refuses.
-    """
+    """Flatten one crumpled garment in the simulated world; a finished episode is left unchanged."""
     parts = parts or EpisodeParts()
     name = episode.label
     robot = SimulatedRobot(episode.kind, episode.seed, robot_config, episode.garment)
@@ -152,18 +132,7 @@ def flatten_simulated(
 def shared_parts(
     kind: GarmentKind, config: FlattenConfig, *, starts: Path | None = None, device: str = "cpu"
 ) -> EpisodeParts:
-    """Return the parts that episodes of one garment can share; refuse unreadable weights.
-
-    Args:
-        kind: the garment.
-        config: configuration of flattening.
-        starts: folder of crumpled starts.
-        device: device to compute on.
-
-    Raises:
-        InvalidConfigError: a requested part does not exist.
-        InvalidResultError: weights are missing, damaged or of another garment.
-    """
+    """Return the parts that episodes of one garment can share; refuse unreadable weights."""
     if config.policy != "planned":
         return EpisodeParts(starts=starts)
     perception = None
@@ -179,15 +148,6 @@ def knowing_the_garment(
 
     This corresponds to measuring a garment once (`clothtrack garment`). Without a garment, nothing
     is written or changed.
-
-    Args:
-        config: configuration of flattening.
-        garment: single garment, or None.
-        out: folder of the episodes.
-
-    Raises:
-        InvalidConfigError: there is a template already.
-        StorageError: the disk refuses.
     """
     require_one_garment(config, garment)
     if garment is None:
@@ -197,11 +157,7 @@ def knowing_the_garment(
 
 
 def require_one_garment(config: FlattenConfig, garment: OneGarment | None) -> None:
-    """Refuse a garment seed together with a template.
-
-    Raises:
-        InvalidConfigError: both are given.
-    """
+    """Refuse a garment seed together with a template."""
     if garment is not None and config.perception.template:
         raise InvalidConfigError(
             f"garment_seed {garment.seed} draws a garment of its own cut and size; leave the "
@@ -210,16 +166,7 @@ def require_one_garment(config: FlattenConfig, garment: OneGarment | None) -> No
 
 
 def begin(robot: SimulatedRobot, start: Path) -> None:
-    """Crumple the robot's cloth to the same start for every method.
-
-    Args:
-        robot: robot with the flat cloth.
-        start: file of the start; made if it does not exist.
-
-    Raises:
-        SimulationDivergedError: the physics diverges.
-        StorageError: the disk refuses.
-    """
+    """Crumple the robot's cloth to the same start for every method."""
     if start.exists():
         robot.restore(start)
         return

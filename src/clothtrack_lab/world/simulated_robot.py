@@ -83,10 +83,7 @@ class SimulatedRobot:
     """A gripper, a depth camera and a cloth in the simulated world.
 
     Attributes:
-        kind: the garment.
-        config: the robot.
         cloth: information that a person at the table has: kind, color and size.
-        table: plane z = 0.
     """
 
     def __init__(
@@ -96,18 +93,7 @@ class SimulatedRobot:
         config: SimulatedRobotConfig | None = None,
         garment: OneGarment | None = None,
     ) -> None:
-        """Place the flat garment on the table; `crumple` then makes the start of an episode.
-
-        Args:
-            kind: the garment.
-            seed: seed of garment, fabric, camera, noise and the start.
-            config: the robot.
-            garment: garment on the table, instead of one drawn from `seed`; its camera, tool and
-                speeds are used too if the configuration has no episode.
-
-        Raises:
-            InvalidConfigError: a setting is missing, or `seed` is negative.
-        """
+        """Place the flat garment on the table; `crumple` then makes the start of an episode."""
         if seed < 0:
             raise InvalidConfigError(f"seed is {seed}; it must be at least 0")
         self.kind: GarmentKind = kind
@@ -160,13 +146,8 @@ class SimulatedRobot:
         """Pick up the cloth at the pick, carry it, release it, and wait until it rests.
 
         Args:
-            action: action to execute.
             stop: function called with every picture on the path, the tip position [m] and whether
                 it is closed. If it returns a reason, the gripper opens and retreats from there.
-            slips_at: share of the path after which the cloth slips out of the gripper; 1 for never.
-
-        Raises:
-            InvalidConfigError: the path is outside the limits, or `slips_at` is not a share.
         """
         if not 0.0 <= slips_at <= 1.0:
             raise InvalidConfigError(f"slips_at is {slips_at}; it is a share of the way, 0 to 1")
@@ -242,9 +223,6 @@ class SimulatedRobot:
 
         It includes the random state of the camera and the picker, so a resumed episode has the same
         pictures as an uninterrupted one.
-
-        Raises:
-            StorageError: the disk refuses.
         """
         write_npz(
             path,
@@ -259,12 +237,7 @@ class SimulatedRobot:
         )
 
     def restore(self, path: Path) -> None:
-        """Restore a state that `save` wrote for the same garment and seed.
-
-        Raises:
-            InvalidResultError: the file is missing or damaged.
-            InvalidConfigError: it is of another cloth, or of a world with other contacts.
-        """
+        """Restore a state that `save` wrote for the same garment and seed."""
         try:
             file = read_npz(path)
             state, pictures = file["state"], int(file["pictures"])

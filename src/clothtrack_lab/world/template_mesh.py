@@ -66,10 +66,8 @@ class SeededGarment:
     """The garment of one recording or episode, with a usual cut or from a template file.
 
     Attributes:
-        kind: the garment.
         file: file of the template (`clothtrack garment`), which has its own size; empty for none.
         size_m: width and length [m]; the usual size of its kind when None.
-        seed: seed of the recording or episode.
     """
 
     kind: GarmentKind
@@ -83,12 +81,7 @@ class SeededGarment:
         return self.kind
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
-        """Return the garment at rest, around the origin; `again` in another triangulation.
-
-        Raises:
-            InvalidConfigError: the template is of another kind of garment, or a size is given too.
-            InvalidRecordingError: the file is missing or damaged.
-        """
+        """Return the garment at rest, around the origin; `again` in another triangulation."""
         if not self.file:
             return garment(
                 self.kind, vertex_count=vertex_count, size_m=self.size_m,
@@ -141,14 +134,7 @@ def misjudged(
     laid: Callable[[ClothMesh], ClothMesh],
     rng: np.random.Generator,
 ) -> ClothMesh:
-    """Return the tracker's first mesh: a flat garment on the table with these errors.
-
-    Args:
-        mesh: flat garment, with another triangulation than the world's if there is one.
-        wrong: configuration of the errors.
-        laid: function that places a flat garment at the true one's pose on the table.
-        rng: source of the errors.
-    """
+    """Return the tracker's first mesh: a flat garment on the table with these errors."""
     vertices = laid(mesh).vertices
     angle = np.radians(wrong.turn_deg) * rng.standard_normal()
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -16,7 +16,6 @@ class Tool:
 
     Attributes:
         azimuth_rad: direction in which it leaves the tip, seen from above, from the x axis.
-        elevation_rad: elevation above the table.
         radii_m: distance from the tip [m] and radius there [m], outwards.
     """
 

@@ -24,12 +24,7 @@ STOPPED = "dry run: nothing moved"
 
 
 class DryRunRobot:
-    """Robot that only writes its actions; the episode ends after the first.
-
-    Attributes:
-        folder: output folder for action_00.json and action_00.png, action_01.json and so on.
-        limits: motion limits of the robot.
-    """
+    """Robot that only writes its actions; the episode ends after the first."""
 
     def __init__(
         self,
@@ -54,12 +49,7 @@ class DryRunRobot:
         return Reachability(not reason, reason)
 
     def execute(self, action: PickPlace) -> Execution:
-        """Write the action without moving.
-
-        Raises:
-            InvalidConfigError: the action is outside a limit.
-            StorageError: the disk refuses.
-        """
+        """Write the action without moving."""
         reachability = self.check(action)
         if not reachability.reachable:
             raise InvalidConfigError(f"refused: {reachability.reason}")
@@ -81,11 +71,7 @@ class DryRunRobot:
 
 
 def pictures_of(recording: Recording) -> Callable[[], RgbdFrame]:
-    """Return a function that repeats a recording's last picture, each time one second later.
-
-    Raises:
-        InvalidConfigError: by the returned function, if that frame has no depth picture.
-    """
+    """Return a function that repeats a recording's last picture, each time one second later."""
     frame, count = recording.frames[-1], 0
 
     def take() -> RgbdFrame:

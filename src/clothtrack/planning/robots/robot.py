@@ -41,7 +41,6 @@ class Execution:
     """Result of executing an action.
 
     Attributes:
-        path: measured path of the tip, from which the run becomes a recording.
         film: pictures taken during the motion, in order of time; may be empty.
         grasped: whether the gripper holds, or held, anything; None if unknown.
         error: reason for an early stop; empty if there was none.
@@ -83,7 +82,6 @@ class MotionLimits:
     """Motion limits of a robot, checked over the whole path of the tip before it moves.
 
     Attributes:
-        workspace: allowed region of the tip.
         table_height_m: height of the table in the world [m].
         clearance_m: smallest distance of the tip from the table [m].
         speed: highest speed of the tip [m/s].
@@ -124,7 +122,6 @@ def waypoints(action: PickPlace, hover_m: float = 0.0) -> Float[np.ndarray, "poi
     """Return the straight-line waypoints: above pick, down, up, across, down, up (VCD) [m].
 
     Args:
-        action: the pick-and-place.
         hover_m: height above pick and place at which the empty gripper arrives and leaves [m]; at
             least the lift.
     """

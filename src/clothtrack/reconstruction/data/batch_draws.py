@@ -42,8 +42,6 @@ class Scenes:
     Attributes:
         rotation, position: pose of the camera in the world [m]; columns are its axes.
         focal: focal length [pixels].
-        white_m, wave_m, disparity_step_m, step_m: as in `SensorConfig`.
-        dropout, grazing_dropout, edge_dropout, edge_mixing, edge_step_m: as in `SensorConfig`.
         wave: coarse field of the slowly varying error, in standard deviations.
         grown: pixels by which the mask is too large; negative: too small.
         tip: vertex that a tool or a hand is at, as a share of all from 0 to 1; negative: no tool.
@@ -87,8 +85,6 @@ def draw_scenes(
     Args:
         low: least coordinates of the cloth in the world [m], on the CPU.
         high: largest coordinates [m].
-        config: settings of the cameras.
-        generator: generator of the CPU.
     """
     count, extent = len(low), (high - low)[:, :2].amax(1)
     even = _Even(count, generator)

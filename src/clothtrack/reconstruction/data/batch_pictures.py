@@ -35,7 +35,6 @@ class Cloths:
         local: vertices in the frame of the camera [m]; those of a smaller cloth are repeated.
         faces: first, second and third corners of all faces; padding faces have the same vertex
             three times.
-        scenes: cameras and occluders.
         first: column and row of each picture's first pixel, relative to the principal point
             [pixels].
         size: number of columns and rows of each picture [pixels].
@@ -58,8 +57,6 @@ class Cloths:
 
         Args:
             positions: vertices in the world [m].
-            faces: as the attribute.
-            scenes: scenes with cameras that have all vertices in front of them.
         """
         local = (positions - scenes.position[:, None]) @ scenes.rotation
         seen = local[..., :2] / local[..., 2:] * scenes.focal[:, None, None]
@@ -68,11 +65,7 @@ class Cloths:
         return cls(local, faces, scenes, first, size)
 
     def parts(self, most_pixels: int) -> Iterator[Int[Tensor, " part"]]:
-        """Iterate over groups of cloths with pictures of similar size, to render together.
-
-        Args:
-            most_pixels: maximum pixels of the pictures of a group, which has at least one picture.
-        """
+        """Iterate over groups of cloths with pictures of similar size, to render together."""
         sizes = self.size.tolist()
         order = sorted(range(len(sizes)), key=lambda one: sizes[one][0] * sizes[one][1])
         begin = width = height = 0
@@ -89,7 +82,6 @@ class Measured:
     """Depth pictures of cloths, padded with table to one size.
 
     Attributes:
-        cloths: cloths that they show.
         depth: measured depth [m]; 0 where nothing was measured.
         mask: segmentation of the cloth, where it was measured.
         face: face that each pixel shows; -1 for none.
@@ -105,12 +97,7 @@ class Measured:
 
 
 def measure(cloths: Cloths, generator: Generator) -> Measured:
-    """Take pictures of cloths on the table z = 0.
-
-    Args:
-        cloths: cloths in front of their cameras.
-        generator: generator of the sensors' noise, on the device of the cloths.
-    """
+    """Take pictures of cloths on the table z = 0."""
     scenes = cloths.scenes
     width, height = (int(one) for one in cloths.size.amax(0))
     device = cloths.local.device

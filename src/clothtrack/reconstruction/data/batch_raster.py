@@ -50,9 +50,6 @@ def nearest_faces(
     A face with a corner behind its camera is not drawn.
 
     Args:
-        points: corners of the faces.
-        faces: first, second and third corner of all faces; drawn from both sides.
-        picture: index of each face's picture.
         shape: number of pictures, their height and width [pixels].
     """
     count, height, width = shape
@@ -100,7 +97,6 @@ class _Spans(NamedTuple):
     """Rows of faces that cover at least one pixel.
 
     Attributes:
-        owner: index of the face.
         first: index of its first pixel in this row, over all pictures.
         pixels: number of pixels that it covers.
         inverse, slope: inverse depth [1/m] at the first pixel, and its change per pixel.
@@ -153,10 +149,6 @@ def _spans(
     """Return the span of each row of each face, bounded by where its edges cross the row.
 
     Args:
-        points: corners of the faces.
-        faces: as for `nearest_faces`.
-        boxes: bounding boxes of the faces.
-        first: index of the first pixel of each box, over all pictures.
         width: width of a picture [pixels].
     """
     # Coordinates are relative to the boxes, because small numbers are more precise.
@@ -200,15 +192,7 @@ def _crossing(
     ty: Float[Tensor, " faces"],
     turn: Float[Tensor, " faces"],
 ) -> tuple[Float[Tensor, " faces"], Float[Tensor, " faces"], Float[Tensor, " faces"]]:
-    """Return the bounds that one edge sets for faces along row 0, and their change per row.
-
-    Args:
-        fx: column of the edge's first end.
-        fy: row of the edge's first end.
-        tx: column of the edge's last end.
-        ty: row of the edge's last end.
-        turn: orientation of the face, 1 or -1.
-    """
+    """Return the bounds that one edge sets for faces along row 0, and their change per row."""
     east, south = (fy - ty) * turn, (tx - fx) * turn
     seam = _SEAM_PIXELS * (east.abs() + south.abs())
     # A horizontal edge has a whole row on one side, which a far crossing expresses as well.

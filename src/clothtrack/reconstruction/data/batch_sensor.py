@@ -32,10 +32,6 @@ def measured_depth(
 
     Args:
         depth: true depth [m], positive everywhere.
-        facing: cosine between the surface's normal and the line of sight.
-        wave: slowly varying error, in standard deviations.
-        sensors: noise parameters of the cameras.
-        generator: generator of the noise, on the device of the pictures.
     """
 
     def each(values: Float[Tensor, " batch"]) -> Float[Tensor, "batch 1 1"]:
@@ -90,12 +86,7 @@ def flying(depth: Pictures, focal: Float[Tensor, " batch"]) -> Masks:
 
 
 def jittered(masks: Masks, grown: Int[Tensor, " batch"]) -> Masks:
-    """Return masks with segmentation errors, some pixels too large or too small.
-
-    Args:
-        masks: masks of the cloth.
-        grown: pixels by which each mask grows, at most 3; negative values shrink it.
-    """
+    """Return masks with segmentation errors, some pixels too large or too small."""
     chosen = grown.nonzero()[:, 0]
     pixels = grown.index_select(0, chosen)[:, None, None]
     shrinks = pixels < 0
@@ -118,7 +109,6 @@ def hidden_by_tools(
     Args:
         tips: column and row of each tip [pixels].
         radius: half the width of each tool [pixels].
-        scenes: scenes of the pictures.
         shape: height and width of the pictures [pixels].
     """
     height, width = shape
@@ -133,13 +123,7 @@ def hidden_by_tools(
 
 
 def cut_off(masks: Masks, side: Int[Tensor, " batch"], share: Float[Tensor, " batch"]) -> Masks:
-    """Return pixels that the borders of pictures cut off.
-
-    Args:
-        masks: masks of the cloth.
-        side: side of the picture, 0 to 3: right, lower, left and upper.
-        share: share of each mask's pixels that is cut off.
-    """
+    """Return pixels that the borders of pictures cut off."""
     found = torch.zeros_like(masks)
     for number in range(4):
         chosen = (side == number).nonzero()[:, 0]
@@ -165,10 +149,8 @@ def waves(
     """Return smooth fields, each spread over its own picture by cubic interpolation.
 
     Args:
-        coarse: field values at evenly spaced places.
         heights: rows over which each field is spread [pixels].
         widths: columns over which each field is spread [pixels].
-        shape: height and width of the returned pictures; a field is extended beyond its own end.
     """
     down = _cubic_weights(coarse.shape[1], heights, shape[0])
     across = _cubic_weights(coarse.shape[2], widths, shape[1])

@@ -33,7 +33,6 @@ def on_mesh(points: Float[Tensor, "batch points 3"], measured: Measured) -> OnMe
 
     Args:
         points: points on the measured surface, in the frames of the cameras [m].
-        measured: pictures that show the faces.
     """
     cloths = measured.cloths
     count, height, width = measured.depth.shape
@@ -91,13 +90,7 @@ def closest_on_triangle(
 def _projected(
     away: Float[Tensor, "*batch 3"], ab: Float[Tensor, "*batch 3"], ac: Float[Tensor, "*batch 3"]
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Return weights of the second and third corner at the projection to a triangle's plane.
-
-    Args:
-        away: vector from the first corner to the point.
-        ab: vector from the first to the second corner.
-        ac: vector from the first to the third corner.
-    """
+    """Return weights of the second and third corner at the projection to a triangle's plane."""
     d00, d01, d11 = (ab * ab).sum(-1), (ab * ac).sum(-1), (ac * ac).sum(-1)
     d20, d21 = (away * ab).sum(-1), (away * ac).sum(-1)
     determinant = d00 * d11 - d01 * d01

@@ -65,14 +65,7 @@ def above(
     world: Float[Tensor, "batch 3 3"],
     config: ViewConfig,
 ) -> Views:
-    """Return the network's pictures of measured depth.
-
-    Args:
-        measured: depth pictures of real cameras.
-        world: transformation of each world that is applied first: a turn about the vertical, or a
-            mirror image of one.
-        config: picture settings of the network.
-    """
+    """Return the network's pictures of measured depth."""
     scenes = measured.cloths.scenes
     to_world = world @ scenes.rotation
     origin = (world @ scenes.position[..., None])[..., 0]

@@ -41,9 +41,6 @@ def cloud_picture(
 
     Args:
         points: points of the cloth [m], world, z up.
-
-    Raises:
-        InvalidRecordingError: there are too few points.
     """
     if len(points) < LEAST_POINTS:
         raise InvalidRecordingError(

@@ -102,7 +102,6 @@ class CrumpledState:
     """One state of an episode.
 
     Attributes:
-        recipe: recipe that produced it.
         positions: final vertices [m].
         speed: mean speed of the fastest vertex in the last tenth of a second [m/s].
         exploded: whether the simulation is invalid, so that the episode ends.
@@ -115,12 +114,7 @@ class CrumpledState:
 
 
 class Crumpler:
-    """One garment on a table, and the recipes that crumple it.
-
-    Attributes:
-        mesh: the flat garment.
-        config: settings of the recipes.
-    """
+    """One garment on a table, and the recipes that crumple it."""
 
     def __init__(
         self,
@@ -134,11 +128,7 @@ class Crumpler:
         """Prepare the solver; its table is put at z = 0.
 
         Args:
-            mesh: the flat garment.
-            config: settings of the recipes.
-            solver: settings of the solver; its thickness is the distance that contact keeps.
             thickness_m: distance of the layers of a pressed stack [m]; that of contact when None.
-            device: "cpu" or "cuda:0".
         """
         self.mesh = mesh
         self.config = config
@@ -168,12 +158,7 @@ class Crumpler:
     def episode(
         self, parameters: ClothParameters, rng: np.random.Generator
     ) -> Iterator[CrumpledState]:
-        """Iterate over the states of one episode; an exploded one is the last.
-
-        Args:
-            parameters: material of the cloth.
-            rng: source of all randomness.
-        """
+        """Iterate over the states of one episode; an exploded one is the last."""
         self._solver.set_parameters(parameters)
         self._lay_down(turned_over=rng.random() < self.config.turned_over)
         recipe = drawn(self.config.shares, rng)
@@ -379,11 +364,7 @@ class Crumpler:
     # Motion
 
     def _carry(self, held: np.ndarray, ways: Float[np.ndarray, "steps 3"]) -> Attachment:
-        """Move vertices along a path [m] relative to their positions, one solver step per point.
-
-        Returns:
-            The attachment at the last point.
-        """
+        """Move vertices along a path [m] relative to their positions, one solver step per point."""
         start = self._solver.positions[:, held].astype(np.float64)
         targets = np.zeros((1, self.mesh.vertex_count, 3))
         strength = np.zeros((1, self.mesh.vertex_count))

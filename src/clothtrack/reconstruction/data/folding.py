@@ -58,7 +58,6 @@ class NeatFolds:
         """Prepare folds of a flat garment; a shirt's neck points to +y.
 
         Args:
-            mesh: the flat garment.
             thickness_m: distance that layers keep [m].
         """
         self.layers = Layers(mesh, thickness_m)

@@ -32,16 +32,11 @@ class GarmentRanges(Checked):
 
     Attributes:
         towel_side_m: longer side of a towel or a blanket [m], log-uniform.
-        towel_aspect: shorter side over the longer one.
-        square: share of towels with equal sides.
         shirt_length_m: length from the hem to the neck [m], log-uniform.
         long_sleeves: share of shirts with long sleeves (`garments.outlines.draw_shirt`).
         sweaters, robes: shares of shirts that are cut as a sweater, and as a robe.
-        hoods: share of sweaters with a hood.
         robe_length_m: length of a robe from the hem to the neck [m], log-uniform.
-        open_shirts, open_sweaters, open_robes: shares that are open in front.
         trousers_length_m, shorts_length_m: length from the waist to the cuffs [m], log-uniform.
-        shorts: share of trousers with short legs.
     """
 
     towel_side_m: _Lengths = (0.2, 2.0)
@@ -75,8 +70,6 @@ class ClothRanges:
             `BEND_LENGTH_M` [m/N], log-uniform.
         stretch_compliance: inverse stiffness of an edge [m/N], log-uniform. At 0 a sheet of 16 mm
             edges is too stiff to wrinkle, and a dropped T-shirt may spring out flat.
-        table_friction: Coulomb coefficient between cloth and table.
-        particle_friction: Coulomb coefficient between cloth and cloth.
     """
 
     thickness_m: tuple[float, float] = (0.0005, 0.008)
@@ -91,15 +84,7 @@ class ClothRanges:
 def draw_garment(
     kind: ClothKind, ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator
 ) -> ClothMesh:
-    """Draw a flat garment of any size; a towel's width is its longer side.
-
-    Args:
-        kind: "towel" for blankets too; "tshirt" for polos, sweaters, cardigans and robes, with
-            sleeves of any length; "trousers" for shorts.
-        ranges: ranges of sizes and cuts.
-        vertex_count: approximate vertex count.
-        rng: source of its size, outline and triangulation.
-    """
+    """Draw a flat garment of any size; a towel's width is its longer side."""
     if kind == "towel":
         return _towel(ranges, vertex_count, rng)
     if kind == "trousers":

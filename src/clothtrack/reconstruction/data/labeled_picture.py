@@ -15,8 +15,6 @@ class LabeledPicture:
 
     Attributes:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: segmentation of the cloth.
-        camera: camera that took the picture.
         faces: face of the mesh that each pixel shows; -1 for none.
         positions: vertices in the world [m], z up.
     """
@@ -64,8 +62,6 @@ def faces_of_points(
 
     Args:
         points: points on the measured surface, in the world [m].
-        picture: picture that shows the faces.
-        faces: faces of the mesh.
         cut_m: largest distance of a point from the mesh [m].
     """
     pixels, depth = picture.camera.project(points)

@@ -81,7 +81,6 @@ class Creases:
     Attributes:
         creased: whether each vertex lies in a crease.
         vertex: vertex in a crease, one entry for each of its neighbors outside the crease.
-        neighbor: that neighbor.
         folded: whether the neighbor lies on the side that was folded over.
     """
 
@@ -132,7 +131,6 @@ class Layers:
     """Layers of one garment, with the creases of its folds.
 
     Attributes:
-        mesh: the flat garment.
         edge_m: mean length of its edges [m].
         thickness_m: distance that layers keep [m]; the lowest lies half of it above the table.
         loft_m: additional distance of layers at creases [m].
@@ -249,8 +247,6 @@ class Layers:
 
         Args:
             points: the vertices [m].
-            line: line where the roll begins.
-            looseness: distance of two turns over the height of the stack.
         """
         points = self.pressed(points)
         beyond = np.maximum(line.beyond(points), 0.0)
@@ -282,8 +278,6 @@ class Layers:
 
         Args:
             points: the vertices [m].
-            line: line to fold over.
-            rng: source of the choice among several parts.
         """
         labels, count = self.parts(line.beyond(points))
         if count < 2:

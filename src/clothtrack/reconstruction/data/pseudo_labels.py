@@ -63,12 +63,9 @@ class LabeledRecording:
     """Labeled pictures of one recording, the unit that a split keeps together.
 
     Attributes:
-        name: name of the recording.
-        kind: "towel", "tshirt" or "trousers".
         mesh: the first mesh, flat, with canonical coordinates [m].
         frames: indices of the frames in the recording.
         pictures: pictures of these frames, in the same order.
-        provenance: origin of the labels.
     """
 
     name: str
@@ -92,17 +89,7 @@ def label_recording(
     """Return pictures and projected labels of a tracked recording.
 
     Args:
-        recording: the tracked recording.
-        mesh: the first mesh, with canonical coordinates.
-        labels: tracked meshes.
-        kind: "towel", "tshirt" or "trousers".
         cut_m: pixels farther than this [m] from the tracked mesh have no label.
-        segmenter: segmenter of the cloth; the recording's own by default.
-        provenance: origin of the labels, stored with them.
-
-    Raises:
-        InvalidRecordingError: a frame has no depth picture.
-        InvalidResultError: a label is of a frame that the recording does not have.
     """
     pictures = []
     for label in labels:
@@ -127,14 +114,6 @@ def cloth_picture(
     """Return depth [m], cloth mask and camera of a frame, from its first camera with depth.
 
     A frame that has only a cloud is rendered from a camera straight above.
-
-    Args:
-        recording: the recording.
-        frame: one of its frames.
-        segmenter: segmenter of the cloth; the recording's own by default.
-
-    Raises:
-        InvalidRecordingError: it has neither a depth picture nor a cloud.
     """
     camera = next((one for one in recording.cameras if one.name in frame.depth), None)
     if camera is None and frame.cloud is not None:
@@ -168,10 +147,7 @@ def projected_faces(
 
     Args:
         depth: measured depth [m].
-        mask: pixels where cloth was measured.
-        camera: camera that took the picture.
         positions: vertices in the world [m].
-        faces: vertex indices per triangle.
         cut_m: largest distance of pixel and face [m].
     """
     shown = np.full(depth.shape, -1, np.int32)
@@ -190,11 +166,7 @@ def projected_faces(
 
 
 def write_labels(labeled: LabeledRecording, path: Path) -> None:
-    """Write one compressed NumPy archive atomically.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+    """Write one compressed NumPy archive atomically."""
     document = {
         "format": FORMAT,
         "version": FORMAT_VERSION,
@@ -218,11 +190,7 @@ def write_labels(labeled: LabeledRecording, path: Path) -> None:
 
 
 def read_labels(path: Path) -> LabeledRecording:
-    """Read what `write_labels` has written; nothing in it is executed.
-
-    Raises:
-        InvalidResultError: it is missing, truncated, of another version or not a label file.
-    """
+    """Read what `write_labels` has written; nothing in it is executed."""
     if not path.is_file():
         raise InvalidResultError(
             f"{path}: there are no such labels; make them with: clothtrack label TRACKED..."

@@ -80,10 +80,6 @@ def depth_noise(
 
     Args:
         depth: true depth [m], positive everywhere.
-        facing: cosine between the surface's normal and the line of sight.
-        wave: slowly varying error, in standard deviations.
-        config: noise parameters of the camera.
-        rng: source of the noise.
     """
 
     def uniform() -> Float[np.ndarray, "height width"]:

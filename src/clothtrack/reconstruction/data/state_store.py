@@ -68,7 +68,6 @@ class StateShard:
         episodes: episode of each state; a split into training and validation must not separate
             states of one episode.
         recipes: recipe of each state, one of `_RECIPES`.
-        seed: seed of the shard.
         measures: values per state by name: "speed", final speed of its fastest vertex [m/s];
             "strain", mean absolute relative change of edge length; "coverage", projected area over
             that of the flat garment; "crossings", number of edges that pass through a triangle.
@@ -83,12 +82,7 @@ class StateShard:
     measures: Mapping[str, Float[np.ndarray, " states"]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Reject inconsistent parts.
-
-        Raises:
-            InvalidResultError: a part is inconsistent; states the field, its value and what it must
-                be.
-        """
+        """Reject inconsistent parts."""
         states, vertices = self.positions.shape[:2]
         found = {
             "episodes": len(self.episodes),
@@ -124,10 +118,7 @@ class StateSet:
     """A folder of shards.
 
     Attributes:
-        folder: path of the folder.
         kind: kind of garment of all its shards.
-        shards: finished shards, in order.
-        document: content of `states.json`: configuration and provenance.
     """
 
     folder: Path
@@ -144,21 +135,13 @@ class StateSet:
 
 
 def write_shard(shard: StateShard, path: Path) -> None:
-    """Write a shard as a Zarr group atomically; an existing one is replaced.
-
-    Raises:
-        StorageError: the shard cannot be written; nothing is left under `path` then.
-    """
+    """Write a shard as a Zarr group atomically; an existing one is replaced."""
     with atomic_folder(path, replace=True) as temporary:
         _write(zarr.open_group(temporary, mode="w", zarr_format=3), shard)
 
 
 def read_shard(path: Path) -> StateShard:
-    """Read a shard that `write_shard` has written.
-
-    Raises:
-        InvalidResultError: an array is missing, damaged or inconsistent; names file and array.
-    """
+    """Read a shard that `write_shard` has written."""
     path = Path(path)
     if not (path / "zarr.json").is_file():
         raise InvalidResultError(
@@ -182,9 +165,6 @@ def shard_digest(path: Path) -> str:
     """Return the SHA-256 of a shard's states and mesh, in hexadecimal digits.
 
     It is computed from the digests stored with the arrays; the arrays are not read.
-
-    Raises:
-        InvalidResultError: the shard is damaged.
     """
     arrays = ("positions", "rest_positions", "canonical", "faces")
     try:
@@ -199,11 +179,7 @@ def shard_digest(path: Path) -> str:
 
 
 def open_states(folder: Path) -> StateSet:
-    """Open a folder of states; the shards themselves are not read.
-
-    Raises:
-        InvalidResultError: there is no valid `states.json`, or no shard is finished.
-    """
+    """Open a folder of states; the shards themselves are not read."""
     folder = Path(folder)
     document = read_list(folder)
     if document is None:
@@ -219,11 +195,7 @@ def open_states(folder: Path) -> StateSet:
 
 
 def read_list(folder: Path) -> dict[str, Any] | None:
-    """Return the content of `states.json`; None if there is none.
-
-    Raises:
-        InvalidResultError: it is not the list of a folder of states of this version.
-    """
+    """Return the content of `states.json`; None if there is none."""
     path = Path(folder) / LIST_FILE
     if not path.exists():
         return None
@@ -245,11 +217,7 @@ def read_list(folder: Path) -> dict[str, Any] | None:
 
 
 def write_list(folder: Path, document: Mapping[str, Any]) -> None:
-    """Write `states.json` atomically; format and version are added.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+    """Write `states.json` atomically; format and version are added."""
     text = json.dumps({"format": FORMAT, "version": VERSION, **document}, indent=1)
     with atomic_file(Path(folder) / LIST_FILE) as unfinished:
         unfinished.write_text(text + "\n", encoding="utf-8")
@@ -258,18 +226,7 @@ def write_list(folder: Path, document: Mapping[str, Any]) -> None:
 def write_states(
     folder: Path, kind: str, shards: Sequence[StateShard], provenance: Mapping[str, Any]
 ) -> StateSet:
-    """Write imported shards as a folder of states.
-
-    Args:
-        folder: folder without states.
-        kind: kind of garment of all shards.
-        shards: shards, one per garment.
-        provenance: origin of the shards, stored in `states.json`.
-
-    Raises:
-        InvalidResultError: the folder has states already, or a shard is of another kind.
-        StorageError: a file cannot be written.
-    """
+    """Write imported shards as a folder of states."""
     folder = Path(folder)
     if (folder / LIST_FILE).exists():
         raise InvalidResultError(f"{folder} holds states already; choose another folder")

@@ -157,24 +157,7 @@ def generate_states(
     progress: Progress | None = None,
     ray: str = "",
 ) -> StateSet:
-    """Make at least the given number of states, in whole shards.
-
-    Args:
-        out: folder for `shards/`, `states.json` and the dataset card.
-        kind: kind of garment.
-        states: minimum number of states.
-        seed: seed of all randomness.
-        config: settings of the states.
-        processes: number of worker processes.
-        progress: function called first, and after each shard, including kept ones.
-        ray: address of Ray to run on; worker processes by default.
-
-    Raises:
-        InvalidConfigError: there are no workers or states, another run writes to `out`, or it
-            holds states that were made with another seed, kind or settings.
-        SimulationDivergedError: several garments in turn have too few valid states.
-        StorageError: a file cannot be written.
-    """
+    """Make at least the given number of states, in whole shards."""
     require_workers(processes)
     if states < 1:
         raise InvalidConfigError(f"the number of states is {states}; give at least 1")
@@ -245,9 +228,6 @@ def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) ->
     An episode ends early when the cloth explodes or has too many self-intersections. More episodes
     are started until the shard has all its states. A garment that does not reach that number is
     replaced by another one.
-
-    Raises:
-        SimulationDivergedError: `_GARMENTS_TRIED` garments failed.
     """
     rng = np.random.default_rng([_OF_STATES, seed, number, KINDS.index(kind)])
     for _ in range(_GARMENTS_TRIED - 1):
@@ -261,11 +241,7 @@ def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) ->
 def _shard(
     kind: ClothKind, seed: int, config: StatesConfig, rng: np.random.Generator
 ) -> StateShard:
-    """Return the states of the garment that is drawn next.
-
-    Raises:
-        SimulationDivergedError: too few states are valid.
-    """
+    """Return the states of the garment that is drawn next."""
     mesh = draw_garment(kind, config.garments, config.vertex_count, rng)
     size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     thickness = float(np.exp(rng.uniform(*np.log(config.cloth.thickness_m))))
@@ -345,12 +321,7 @@ def _near_origin(
 
 
 def _document(out: Path, kind: ClothKind, seed: int, config: StatesConfig) -> dict[str, Any]:
-    """Return the list of a folder, read or new.
-
-    Raises:
-        InvalidConfigError: the folder holds states of another kind, seed or settings, or shards
-            without a list.
-    """
+    """Return the list of a folder, read or new."""
     asked = as_plain({"kind": kind, "seed": seed, "config": asdict(config)})
     found = read_list(out)
     if found is None:

@@ -17,11 +17,7 @@ _BAR = 40
 
 
 def dataset_card(states: StateSet) -> str:
-    """Return the card of a folder of states: counts, recipes, sizes, quality and cost.
-
-    Raises:
-        InvalidResultError: a shard cannot be read.
-    """
+    """Return the card of a folder of states: counts, recipes, sizes, quality and cost."""
     shards = [read_shard(path) for path in states.shards]
     document = states.document
     parts = [

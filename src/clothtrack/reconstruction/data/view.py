@@ -95,7 +95,6 @@ def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Ca
 
     Args:
         points: points of the cloth [m], world, z up.
-        config: lens, margin and size of the picture.
     """
     low, high = np.percentile(points, [OUTLIERS, 100.0 - OUTLIERS], axis=0)
     middle = 0.5 * (low + high)
@@ -130,13 +129,6 @@ def crop(
 
     Args:
         depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: pixels of the cloth; all pixels with a depth when None.
-        camera: camera that took the picture.
-        config: picture settings of the network.
-
-    Raises:
-        InvalidRecordingError: picture, mask and camera differ in size, the depth is not in meters,
-            or there is no cloth in it.
     """
     # Imported here, because batches are cropped without Warp (`batch_view.py`), which may not be
     # installed there.
@@ -164,7 +156,6 @@ def cloth_pixels(depth: Float[np.ndarray, "height width"], config: ViewConfig) -
 
     Args:
         depth: the network's picture [m]; 0 where there is no cloth.
-        config: picture settings of the network.
     """
     stride, size = config.output_stride, config.output_size
     blocks = depth.reshape(size, stride, size, stride).transpose(0, 2, 1, 3)

@@ -42,7 +42,6 @@ def wrinkled(
         points: vertices [m], the table at z = 0.
         edge_m: length of an edge of the mesh [m].
         stacked_m: thickness of stacked layers [m]; None for a single layer.
-        rng: source of their number, positions and shapes.
     """
     extent_m = float(np.ptp(points[:, :2], axis=0).max())
     main = rng.uniform(0.0, np.pi)

@@ -53,7 +53,6 @@ class GarmentTokens:
         is_labeling: which rows are symmetries; the others are padding.
         mirror: token that each token becomes in the mirror image of the garment.
         neighbors: nearest tokens of each through the cloth, itself first.
-        layers: number of layers, 1 or 2.
     """
 
     size_m: float
@@ -76,9 +75,6 @@ class GarmentTokens:
         Args:
             mesh: at rest, canonical coordinates filled: flat x and y [m], and a height that is
                 positive on the front, negative on the back and zero on seams.
-
-        Raises:
-            InvalidConfigError: the mesh has no canonical coordinates.
         """
         shape = _Shape.of(mesh)
         flat, faces, side = shape.flat, shape.faces, shape.side
@@ -103,12 +99,6 @@ class GarmentTokens:
         """Return the same tokens in the same garment, moderately stretched along x and y.
 
         Each vertex keeps its weights of the tokens, and each token its neighbors.
-
-        Args:
-            mesh: the garment in the form that `of` takes, with the same triangles.
-
-        Raises:
-            InvalidConfigError: the mesh has no canonical coordinates.
         """
         shape = _Shape.of(mesh)
         corners = shape.faces[self.face]
@@ -142,7 +132,6 @@ class _Shape:
     Attributes:
         canonical: canonical positions of the vertices [m].
         flat: x and y of the vertices [m].
-        faces: vertex indices per triangle.
         side: side of each vertex (-1, 0, 1).
         extent: extent along x and y [m].
     """
@@ -155,11 +144,7 @@ class _Shape:
 
     @classmethod
     def of(cls, mesh: ClothMesh) -> "_Shape":
-        """Return the shape of a flat mesh.
-
-        Raises:
-            InvalidConfigError: the mesh has no canonical coordinates.
-        """
+        """Return the shape of a flat mesh."""
         if mesh.canonical is None:
             raise InvalidConfigError(
                 "the garment's mesh has no canonical coordinates; make it with clothtrack's "

@@ -42,12 +42,7 @@ class LabeledTokenExamples:
     Labels whose mesh is away from the measured cloth are left out.
 
     Args:
-        recordings: recordings with their pseudo-labels.
         network: sizes of the network that the pictures are for.
-        seed: seed of all randomness.
-
-    Raises:
-        InvalidConfigError: there is no label, or a first mesh has no canonical coordinates.
     """
 
     def __init__(
@@ -107,12 +102,7 @@ class LabeledTokenExamples:
 
 
 def with_parts_missing(picture: LabeledPicture, rng: np.random.Generator) -> LabeledPicture:
-    """Return a labeled picture from which part of the measured cloth may be removed.
-
-    Args:
-        picture: labeled picture.
-        rng: source of all randomness.
-    """
+    """Return a labeled picture from which part of the measured cloth may be removed."""
     rows, columns = np.nonzero(picture.mask & (picture.depth_m > 0))
     kept = np.ones(len(rows), bool)
     if len(rows) and rng.random() < LOWER_PART:
@@ -141,15 +131,7 @@ def token_example(
     """Return a labeled picture as an example of the network, mirrored and turned at random.
 
     Args:
-        picture: labeled picture.
-        faces: faces of its mesh.
-        garment: tokens of the garment.
-        network: sizes of the network that the picture is for.
-        rng: source of all randomness.
         table_m: height of the table in the world [m].
-
-    Raises:
-        InvalidRecordingError: there is no cloth in the picture.
     """
     mirrored = rng.random() < 0.5
     if mirrored:
@@ -198,7 +180,6 @@ def seen_by_network(
     """Return the network's input of a view.
 
     Args:
-        view: picture from straight above.
         size_m: longer side of the flat garment [m].
         table_m: height of the table in the world [m].
 

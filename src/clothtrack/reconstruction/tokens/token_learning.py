@@ -39,13 +39,7 @@ class TokenLearning:
     """One training of the token network.
 
     Attributes:
-        network: sizes of the network.
-        config: settings of the training.
-        folder: folder for progress, scalars and `model.safetensors`.
-        processes: processes that train together.
-        progress: function called after every step.
         hours: wall time after which the training pauses [h]; None for no limit.
-        collate: function from examples to a batch.
     """
 
     network: TokenNetworkConfig
@@ -59,18 +53,7 @@ class TokenLearning:
     def of(
         self, taught: Examples, held: Examples, data: dict[str, Any], start: Weights | None
     ) -> LearningOutcome:
-        """Train on examples, and write the weights that were best on the held-out ones.
-
-        Args:
-            taught: examples to train on.
-            held: examples that select the best weights.
-            data: description of the examples' source.
-            start: start weights; None: random weights.
-
-        Raises:
-            InvalidResultError: progress or weights are damaged or of another training.
-            StorageError: a file cannot be written.
-        """
+        """Train on examples, and write the weights that were best on the held-out ones."""
         torch.manual_seed(self.config.seed)
         # The channels-last layout makes convolutions on a CPU faster.
         model = TokenNetwork(self.network).to(memory_format=torch.channels_last)
@@ -107,13 +90,6 @@ def grown(weights: Weights, network: TokenNetworkConfig) -> Weights:
     """Return weights for a network of more layers or other hypotheses, with the same first answer.
 
     A new layer adds zero at first, and a new hypothesis is a copy of the first with a little noise.
-
-    Args:
-        weights: weights of a token network.
-        network: requested sizes; all but layers and hypotheses must equal those of the weights.
-
-    Raises:
-        InvalidResultError: they are of another network, or of other sizes.
     """
     old = require_tokens(weights)
     free = {"layers": network.layers, "hypotheses": network.hypotheses}
@@ -160,13 +136,6 @@ def split_by_digest(
 
     Whether a garment is held out depends on its own digest alone, so the same garments are held out
     whatever else is trained on. The garment with the lowest digest is always held out.
-
-    Args:
-        digests: digest of each example's garment, in hexadecimal digits.
-        held_out_share: approximate share of the garments to hold out.
-
-    Raises:
-        InvalidConfigError: fewer than two garments, or none is left to train on.
     """
     names = set(digests)
     chosen = {name for name in names if int(name[:8], 16) < held_out_share * 16**8}
@@ -186,11 +155,7 @@ def is_of_tokens(weights: Weights) -> bool:
 
 
 def require_tokens(weights: Weights) -> TokenNetworkConfig:
-    """Return the sizes of a token network from its weights.
-
-    Raises:
-        InvalidResultError: they are of another network.
-    """
+    """Return the sizes of a token network from its weights."""
     if not is_of_tokens(weights):
         raise InvalidResultError(
             f"{weights.path}: these are weights of another network, for {weights.kind!r}; give "

@@ -92,7 +92,6 @@ class TokenInput:
     Attributes:
         height: height above the table; `EMPTY` where no cloth was measured.
         distance: distance of the camera from the table.
-        features: features of the garment's tokens (`GarmentTokens.features`).
         pixels: row and column of each pixel whose correspondence is requested.
     """
 
@@ -114,7 +113,6 @@ class TokenOutput(NamedTuple):
         places: x, y, z and two log spreads of each token under each hypothesis, in units of the
             garment's longer side and in the picture's frame: x to the right, y up, z up from the
             table, the origin on the table below the camera.
-        choice: logits of the hypotheses.
     """
 
     names: Float[Tensor, "batch asked tokens"]
@@ -126,7 +124,6 @@ class TokenNetwork(nn.Module):
     """Network that predicts correspondences of pixels and positions of tokens.
 
     Attributes:
-        config: its sizes.
         examples: number of examples it was trained with.
     """
 

@@ -47,11 +47,7 @@ class TokenPictures:
     """States as batches of the token network.
 
     Args:
-        states: states of any garments.
         network: sizes of the network that the pictures are for.
-        rendering: settings of the cameras.
-        device: device that makes the batches, "cpu" or "cuda:0".
-        seed: seed of all randomness.
     """
 
     def __init__(
@@ -89,10 +85,6 @@ class TokenPictures:
         """Render some states, mirrored and turned at random.
 
         A state with too little measured cloth is replaced by another one of the batch.
-
-        Args:
-            chosen: indices of the states, on the CPU.
-            step: seed numbers; equal numbers give equal pictures.
         """
         seeds = np.random.SeedSequence([self.seed, *step]).generate_state(2, np.uint64)
         draws = Generator().manual_seed(int(seeds[0] >> 1))
@@ -151,7 +143,6 @@ class _Worlds:
 
     Attributes:
         motion: turn about the vertical, after mirroring if the example is mirrored.
-        mirrored: whether the example is mirrored.
         size_factor: size that the network is given, over the true size.
         table_shift: table height that the network is given, over the size.
     """
@@ -203,13 +194,7 @@ class _Garments:
     def of(
         cls, states: TokenStates, chosen: Int[Tensor, " batch"], most: Mapping[str, int]
     ) -> "_Garments":
-        """Return the chosen states with their garments.
-
-        Args:
-            states: all states, on the device.
-            chosen: indices of the states, on the device.
-            most: number of vertices and faces of the largest garment.
-        """
+        """Return the chosen states with their garments."""
         garment, vertices, faces = states.garment[chosen], states.vertices, states.faces
         vertex = torch.arange(most["vertices"], device=chosen.device) % vertices[garment, None]
         positions = states.positions[states.first[chosen, None] + vertex]
@@ -267,13 +252,6 @@ def _drawn_pixels(
 
     Args:
         depth: the network's pictures [m]; 0 where there is no cloth.
-        stride: pixels of a picture per output pixel.
-        count: number of pixels to draw.
-        noise: generator of the choice.
-
-    Returns:
-        Row and column of the drawn output pixels; row and column of the measurement that represents
-        each, the nearest to the camera; and which of them show cloth (these come first).
     """
     batch, size = depth.shape[:2]
     blocks = size // stride

@@ -70,8 +70,6 @@ class TokenAnswer:
         places: token positions in the world [m].
         spreads: horizontal and vertical mean deviation of each position [m].
         pixels: row and column of each point in the canonical picture.
-        view: picture that the network saw.
-        tokens: tokens of the garment.
     """
 
     seen: SeenPoints
@@ -103,12 +101,7 @@ class TokenAnswer:
 
 
 class TokenReconstructor:
-    """A trained token network.
-
-    Attributes:
-        model: the network.
-        config: its sizes.
-    """
+    """A trained token network."""
 
     def __init__(self, model: TokenNetwork) -> None:
         """Wrap a network for evaluation."""
@@ -117,33 +110,18 @@ class TokenReconstructor:
 
     @classmethod
     def load(cls, path: Path, *, device: str = "cpu") -> "TokenReconstructor":
-        """Load the network of a weights file.
-
-        Raises:
-            InvalidResultError: it is damaged or of another network.
-        """
+        """Load the network of a weights file."""
         return cls.of(load_weights(path), device=device)
 
     @classmethod
     def of(cls, weights: Weights, *, device: str = "cpu") -> "TokenReconstructor":
-        """Return the network of loaded weights.
-
-        Raises:
-            InvalidResultError: they are of another network.
-        """
+        """Return the network of loaded weights."""
         model = TokenNetwork(require_tokens(weights))
         weights.load_into(model, prefix=PREFIX)
         return cls(model.to(device))
 
     def look(self, picture: DepthInput) -> Look:
-        """Return the picture as the network sees it.
-
-        Args:
-            picture: depth, mask, camera and table; world z up.
-
-        Raises:
-            InvalidRecordingError: there is no cloth in the picture.
-        """
+        """Return the picture as the network sees it."""
         view = crop(picture.depth_m, picture.mask, picture.camera, self.config)
         seen = cloth_pixels(view.depth, self.config)
         points = points_of(view.depth, view.camera, seen.sources)
@@ -157,17 +135,7 @@ class TokenReconstructor:
         views: int = VIEWS,
         most: int = _MOST_PARTIES,
     ) -> list[TokenAnswer]:
-        """Return rival answers: all views merged, and each set of agreeing hypotheses merged.
-
-        Args:
-            look: picture as the network sees it.
-            tokens: tokens of the garment.
-            views: number of quarter turns and mirror images in the query, 1 to 8.
-            most: maximum number of answers.
-
-        Raises:
-            InvalidResultError: the network's answer is not finite.
-        """
+        """Return rival answers: all views merged, and each set of agreeing hypotheses merged."""
         height, distance, origin = seen_by_network(look.view, tokens.size_m, look.table_m)
         answers = self._views(height, distance, look.pixels, tokens, views)
         if not np.isfinite(answers.places).all():
@@ -243,10 +211,8 @@ class _Views:
     """Hypotheses of all views of one picture, in the picture's own frame.
 
     Attributes:
-        names: correspondences by view.
         places, spreads: token positions and their spreads, by view and hypothesis.
         likelihoods: likelihoods of the hypotheses of each view; their sum is 1.
-        tokens: tokens of the garment.
     """
 
     names: Tensor

@@ -57,7 +57,6 @@ class TokenExample:
         height, distance, features, pixels: as in `TokenInput`.
         pixel_tokens, pixel_shares: correspondence of each pixel: tokens around its point, weights.
         places: positions of the tokens in the picture's frame.
-        labelings, is_labeling, neighbors: as in `GarmentTokens`.
         conventional: agreement of the cloth with the flat garment's pose under each symmetry.
         size_m: unit of length [m].
         weight: 0 if the picture shows no cloth, otherwise 1.
@@ -122,11 +121,7 @@ def collate_tokens(examples: Sequence[TokenExample]) -> TokenBatch:
 
 
 class TokenStage(Stage):
-    """Training of the token network.
-
-    Args:
-        model: network to train.
-    """
+    """Training of the token network."""
 
     name = "tokens"
     score = "place_error"

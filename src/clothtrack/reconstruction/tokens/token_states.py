@@ -25,8 +25,6 @@ class TokenStates:
 
     Attributes:
         positions: vertices of all states in the world [m], z up, the table at z = 0.
-        first: index of each state's first vertex.
-        garment: index of each state's garment.
         low, high: least and largest coordinates of each state [m].
         vertices, faces: number of vertices and faces of each garment.
         corners: vertices of all faces of all garments. For the fields below see `GarmentTokens`.
@@ -100,15 +98,7 @@ class TokenStates:
 
 
 def read_token_states(sets: Sequence[StateSet]) -> tuple[TokenStates, list[str]]:
-    """Read folders of states.
-
-    Returns:
-        All states, and the digest of each state's garment, which decides what is held out.
-
-    Raises:
-        InvalidConfigError: there is no state.
-        InvalidResultError: a shard is damaged.
-    """
+    """Read folders of states."""
     parts: list[TokenStates] = []
     digests: list[str] = []
     for path in (path for one in sets for path in one.shards):

@@ -41,22 +41,7 @@ def pretrain_tokens(
     add folders of states or leave some out.
 
     Args:
-        states: folders of states.
-        config: settings of the training, and sizes of the network.
-        folder: folder for progress, scalars and `model.safetensors`.
-        start: start weights; the network may have more layers and other hypotheses (`grown`).
         hours: wall time after which the training pauses [h]; None for no limit.
-        processes: processes that train together.
-        progress: function called after every step.
-
-    Returns:
-        The outcome, and the file with the best weights.
-
-    Raises:
-        InvalidConfigError: the states are too few, the training has no end, or worker processes
-            are requested to render for a GPU.
-        InvalidResultError: states, progress or weights are damaged or of another training.
-        StorageError: a file cannot be written.
     """
     loop, network = config.tokens, config.network or TokenNetworkConfig()
     if hours is not None and not hours > 0.0:
@@ -97,21 +82,7 @@ def finetune_tokens(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Fine-tune on pseudo-labels (paper, Sec. III-C); recordings are held out as a whole.
-
-    Args:
-        start: start weights.
-        labels: labeled recordings; some are held out to select the best weights.
-        config: settings of the training.
-        folder: folder for progress, scalars and `model.safetensors`.
-        processes: processes that train together.
-        progress: function called after every step.
-
-    Raises:
-        InvalidConfigError: there are too few labels.
-        InvalidResultError: weights or progress are damaged or do not belong together.
-        StorageError: a file cannot be written.
-    """
+    """Fine-tune on pseudo-labels (paper, Sec. III-C); recordings are held out as a whole."""
     network, training = require_tokens(start), config.tokens
     examples = LabeledTokenExamples(labels, network, seed=training.seed)
     chosen, held = split_by_group(examples.groups, training.held_out_share, training.seed)

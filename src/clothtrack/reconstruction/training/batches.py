@@ -39,16 +39,7 @@ class Examples(Protocol):
 def split_by_group(
     groups: Sequence[Any], held_out_share: float, seed: int
 ) -> tuple[Int[np.ndarray, " training"], Int[np.ndarray, " held_out"]]:
-    """Return indices to train on and to hold out; examples of one group stay together.
-
-    Args:
-        groups: group of each example, its trajectory or episode.
-        held_out_share: share of the groups to hold out; at least one is.
-        seed: seed of the choice.
-
-    Raises:
-        InvalidConfigError: there are fewer than two groups.
-    """
+    """Return indices to train on and to hold out; examples of one group stay together."""
     names = list(dict.fromkeys(groups))
     if len(names) < 2:
         raise InvalidConfigError(
@@ -84,18 +75,8 @@ class BatchOrder:
 
     Attributes:
         steps: total steps of the run; unlimited for a "stable" rate.
-        start: first step to iterate from.
         from_step: step at which the examples were last changed.
         first_epoch: number of the epoch that begins there, so that no epoch is drawn twice.
-        processes: processes that train together.
-
-    Args:
-        count: number of examples.
-        config: batch size, epochs and seed.
-        processes: processes that train together.
-
-    Raises:
-        InvalidConfigError: the batch cannot be divided evenly among the processes.
     """
 
     def __init__(self, count: int, config: TrainingConfig, processes: Processes) -> None:
@@ -140,14 +121,7 @@ def loader(
     *,
     workers: int = 0,
 ) -> DataLoader:
-    """Make batches, in this process or in worker processes.
-
-    Args:
-        examples: set of examples.
-        order: draws of each batch.
-        collate: function from examples to a batch.
-        workers: number of worker processes, capped at the number of cores; 0: this process.
-    """
+    """Make batches, in this process or in worker processes."""
     workers = min(workers, _cores())
     return DataLoader(
         examples,

@@ -42,15 +42,7 @@ _REMEDY = "train again, or fetch an undamaged copy"
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Content of a weights file.
-
-    Attributes:
-        path: path that it was read from.
-        tensors: parameters and buffers by name.
-        network: the network's configuration, as plain values.
-        kind: garment that the network is for.
-        provenance: data, seed, commit, hardware, scores.
-    """
+    """Content of a weights file."""
 
     path: Path
     tensors: Mapping[str, Tensor]
@@ -64,15 +56,7 @@ class Weights:
         return _runs(self.provenance)
 
     def load_into(self, module: nn.Module, *, prefix: str = "") -> None:
-        """Load these weights into a module; tensor names must match exactly.
-
-        Args:
-            module: module of the same configuration.
-            prefix: prefix of the names of the tensors to load; it is removed.
-
-        Raises:
-            InvalidResultError: a tensor is missing, unknown or of another shape.
-        """
+        """Load these weights into a module; tensor names must match exactly."""
         found = {
             name.removeprefix(prefix): value
             for name, value in self.tensors.items()
@@ -105,18 +89,7 @@ def save_weights(
     kind: str,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write weights as safetensors atomically.
-
-    Args:
-        path: file to write.
-        tensors: state of the trained module, by name.
-        network: its configuration, a dataclass of plain values.
-        kind: garment that the network is for.
-        provenance: data, seed, commit, hardware, scores.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+    """Write weights as safetensors atomically."""
     copies = {name: value.detach().to("cpu").contiguous() for name, value in tensors.items()}
     metadata = {
         "format": FORMAT,
@@ -136,11 +109,7 @@ def save_weights(
 
 
 def load_weights(path: Path) -> Weights:
-    """Read a weights file; nothing in it is executed.
-
-    Raises:
-        InvalidResultError: it is missing, damaged, of another version or not a weights file.
-    """
+    """Read a weights file; nothing in it is executed."""
     if not path.is_file():
         raise InvalidResultError(f"{path}: there is no such weights file; check the name")
     try:
@@ -177,12 +146,7 @@ def is_sealed(path: Path) -> bool:
 
 
 def weights_digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
-    """Return the SHA-256 of weights and their metadata, in hexadecimal digits.
-
-    Args:
-        tensors: tensors by name.
-        metadata: metadata of the file; a digest in it is ignored.
-    """
+    """Return the SHA-256 of weights and their metadata, in hexadecimal digits."""
     described = {name: text for name, text in metadata.items() if name != DIGEST}
     digest = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
     for name, value in sorted(tensors.items()):
@@ -210,16 +174,7 @@ def _check_digest(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
 
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Load weights into a module by name; the names must match exactly.
-
-    Args:
-        module: module that receives them.
-        tensors: tensors by name.
-        path: source of the tensors, for the message.
-
-    Raises:
-        InvalidResultError: a tensor is missing, unknown, of another shape or not finite.
-    """
+    """Load weights into a module by name; the names must match exactly."""
     check_tensors(module, tensors, path)
     for name, value in tensors.items():
         if value.is_floating_point() and not bool(torch.isfinite(value).all()):
@@ -228,16 +183,7 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -
 
 
 def check_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Refuse weights that are not exactly those of a module, which may be on the meta device.
-
-    Args:
-        module: whose weights they should be.
-        tensors: by name.
-        path: where they come from, for the message.
-
-    Raises:
-        InvalidResultError: a tensor is missing, unknown, or of another shape.
-    """
+    """Refuse weights that are not exactly those of a module, which may be on the meta device."""
     wanted = module.state_dict()
     wrong = sorted(set(wanted) - set(tensors)) + sorted(set(tensors) - set(wanted))
     if wrong:
@@ -256,11 +202,7 @@ def check_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) 
 
 
 def save_progress(path: Path, document: Mapping[str, Any]) -> None:
-    """Write tensors and plain values for `load_progress` atomically.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+    """Write tensors and plain values for `load_progress` atomically."""
     content = {"format": _PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
     # Save to memory first, because torch raises its own error on a full disk.
     whole = io.BytesIO()
@@ -269,11 +211,7 @@ def save_progress(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def load_progress(path: Path) -> dict[str, Any]:
-    """Read what `save_progress` has written; nothing in it is executed.
-
-    Raises:
-        InvalidResultError: it is truncated, malicious, of another version or not a progress file.
-    """
+    """Read what `save_progress` has written; nothing in it is executed."""
     try:
         with warnings.catch_warnings():
             # PyTorch warns about content that it then rejects.

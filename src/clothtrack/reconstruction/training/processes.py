@@ -16,13 +16,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Processes:
-    """The processes that train together.
-
-    Attributes:
-        rank: number of this process, from 0.
-        count: number of processes.
-        device: compute device of this process.
-    """
+    """The processes that train together."""
 
     rank: int = 0
     count: int = 1
@@ -63,11 +57,7 @@ class Processes:
 
 
 def require_torch_device(device: str) -> None:
-    """Reject a device that PyTorch does not have.
-
-    Raises:
-        InvalidConfigError: the device is unknown or unavailable; the message says what to do.
-    """
+    """Reject a device that PyTorch does not have."""
     number = device.removeprefix("cuda").removeprefix(":") or "0"
     if device != "cpu" and not (device.startswith("cuda") and number.isdecimal()):
         raise InvalidConfigError(f"device is {device!r}; use cpu, cuda or cuda:0")
@@ -85,14 +75,7 @@ def require_torch_device(device: str) -> None:
 
 @contextmanager
 def joined(device: str) -> Iterator[Processes]:
-    """Join the processes that `torchrun` has started; without it, use this process alone.
-
-    Args:
-        device: "cpu" or "cuda:0"; with several processes each uses the GPU of its local rank.
-
-    Raises:
-        InvalidConfigError: a GPU was requested and PyTorch sees none.
-    """
+    """Join the processes that `torchrun` has started; without it, use this process alone."""
     require_torch_device(device)
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:

@@ -11,11 +11,8 @@ class Stage(nn.Module, ABC):
     """A trainable module whose call returns the scalars of a batch, including "loss".
 
     Attributes:
-        name: name of the stage.
         score: name of the measure that selects the best weights; lower is better.
-        unit: unit of that measure.
         network: configuration of the networks, stored with the weights.
-        kind: garment, stored with the weights.
         trained: part whose parameters change and that the weights file holds.
     """
 

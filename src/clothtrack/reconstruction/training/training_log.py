@@ -16,11 +16,7 @@ class TrainingLog:
     """Log of scalars; a resumed run continues it from the saved progress.
 
     Args:
-        folder: folder of the run; receives `scalars.jsonl` and TensorBoard's event files.
         last_step: step of the saved progress; lines after it belong to lost work and are removed.
-
-    Raises:
-        StorageError: the log cannot be written.
     """
 
     def __init__(self, folder: Path, *, last_step: int = 0) -> None:
@@ -48,14 +44,7 @@ class TrainingLog:
             self._board.close()
 
     def write(self, split: str, step: int, epoch: int, scalars: Mapping[str, float]) -> None:
-        """Write the scalars of one step.
-
-        Args:
-            split: "train" or "held_out".
-            step: number of completed steps.
-            epoch: epoch of the step.
-            scalars: scalars by name.
-        """
+        """Write the scalars of one step."""
         line = {"step": step, "epoch": epoch, "split": split, **scalars}
         self._file.write(json.dumps(line) + "\n")
         self._file.flush()

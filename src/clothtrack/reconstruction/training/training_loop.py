@@ -48,23 +48,7 @@ def train(
     data of the training, and the new held-out examples are measured from the start.
 
     Args:
-        stage: stage on the device of its process.
-        examples: examples to train on.
-        held_out: examples that select the best weights; always drawn for epoch 0.
-        config: settings of the training.
-        folder: folder for the progress, the best weights and every scalar.
-        collate: function from examples to a batch with a method `to(device)`.
-        data: description of the examples' source; stored, and must be the same to resume.
-        processes: processes that train together; this one alone by default.
-        progress: function called after every step.
         hours: wall time after which the run pauses [h]; None for no limit.
-
-    Raises:
-        InvalidResultError: the folder's progress is damaged or of another stage or preset, or no
-            measurement was finite.
-        InvalidConfigError: it is of other settings or data, another process is using it, or the
-            loss is not finite.
-        StorageError: a file cannot be written.
     """
     together = processes or Processes(device=str(next(stage.parameters()).device))
     order = BatchOrder(len(examples), config, together)

@@ -49,12 +49,9 @@ class TrainingOutcome:
     Attributes:
         status: "finished" (all epochs or the fall of the rate), "converged" (no more improvement),
             "paused" (time limit reached) or "interrupted".
-        steps: number of steps done so far.
-        best_score: lowest score on the held-out examples.
         best_step: number of steps after which it was reached.
         weights: file with the weights of that step; None if nothing was measured yet.
         cpu_s: CPU time of this process and of the runs that it resumes [s].
-        unit: unit of the score.
     """
 
     status: Status
@@ -70,17 +67,12 @@ class TrainingRun:
     """State of a stage's training, with saving and resuming.
 
     Attributes:
-        step: number of steps done.
         is_judged: whether the weights were measured after the last step.
         averaged: stage that is measured and saved: with averaged weights, or the stage itself.
         phases: training data and first step of each phase; more than one if examples were changed.
 
     Args:
-        stage: stage to train.
         order: order of its examples; the start of the last phase is set on it.
-        config: settings of the training.
-        folder: folder of the progress and the weights.
-        data: description of the examples' source.
     """
 
     def __init__(
@@ -148,11 +140,7 @@ class TrainingRun:
         return 0 < self.config.patience <= self.stale
 
     def advance(self, batch: Any) -> Mapping[str, Tensor]:
-        """Do one step of Adam and return the scalars of its batch.
-
-        Raises:
-            InvalidConfigError: the loss is not finite; no parameter has changed then.
-        """
+        """Do one step of Adam and return the scalars of its batch."""
         self.stage.train()
         rate = self.config.rate(self.step, self.order.steps_per_epoch, falls_from=self.falls_from)
         if self.config.freeze_statistics:

@@ -29,10 +29,6 @@ def check_geometry(
 
     One error causes others: a wrong world makes everything in it wrong. If a camera is doubted,
     cloth and picker are not checked; if a picker's clock is doubted, its path is not checked.
-
-    Args:
-        recording: a validated recording.
-        frames: its frames, if some have been read already; by default all are read here.
     """
     frames = frames or ObservedFrames(recording)
     alone = sense_findings(recording, frames.small)

@@ -24,7 +24,6 @@ class Finding:
     Attributes:
         kind: what is wrong, a stable name for programs, such as "camera_pose" or "color_shift";
             docs/data_format.md lists all.
-        measured: what the pictures show, in `unit`.
         limit: what the recording says, or the limit that is exceeded, in `unit`.
         unit: of both: "m", "deg", "s", "px", or "" for a plain number.
         field: of recording.json, or the file, that is to be corrected first.
@@ -51,13 +50,7 @@ class ObservedFrames:
         cloud: Callable[[Frame], Observation] | None = None,
         reducer: PictureReducer | None = None,
     ) -> None:
-        """Read nothing yet.
-
-        Args:
-            recording: the recording of the frames.
-            cloud: returns the same as `observe`, for frames that have been observed already.
-            reducer: a reducer that has been given the pictures decoded already.
-        """
+        """Read nothing yet."""
         self._recording = recording
         self._cloud = cloud or partial(observe, recording)
         self._reducer = reducer or PictureReducer(recording)

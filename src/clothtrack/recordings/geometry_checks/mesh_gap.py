@@ -30,9 +30,6 @@ def mesh_gap_m(
 
     Args:
         vertices: vertices of the mesh, in the world [m].
-        faces: its triangles.
-        observation: observation of the same frame.
-        device: "cpu" or "cuda:0", for visibility.
 
     Returns:
         The distance; that of the points alone if too little of the mesh is observable; None if

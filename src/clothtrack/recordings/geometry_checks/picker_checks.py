@@ -32,8 +32,6 @@ class _Hold:
     """One picker in one action.
 
     Attributes:
-        action: number of the action.
-        name: name of the picker.
         closed: the frames of the action in which it is closed.
     """
 

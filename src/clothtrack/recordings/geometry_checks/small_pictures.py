@@ -30,7 +30,6 @@ class SmallPictures:
     """Reduced pictures of the frames of one camera that have depth, in order.
 
     Attributes:
-        camera: the camera, of the full pictures.
         factor: pixels of the full picture per reduced pixel, along each axis.
         frames: number of each frame in the recording.
         color: reduced color, red first; None where a frame has none.
@@ -38,7 +37,6 @@ class SmallPictures:
             less than half of a reduced pixel was measured.
         mask: share of each reduced pixel that is inside the recording's masks; None without masks.
         same_color: per frame, whether its color has the same bits as that of the frame before.
-        same_depth: the same of the depth.
     """
 
     camera: Camera
