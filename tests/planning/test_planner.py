@@ -155,8 +155,3 @@ def test_the_simulator_unfolds_a_corner():
     way = (decision.action.place - decision.action.pick)[:2]
     assert way @ np.ones(2) > 0.04
     assert decision.action.pick[:2].sum() > 0.0
-
-
-def test_settings_that_choose_nothing_are_refused():
-    with pytest.raises(InvalidConfigError, match="candidates"):
-        PlannerConfig(candidates=0)

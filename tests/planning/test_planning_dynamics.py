@@ -7,10 +7,7 @@ from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.planning_dynamics import (
-    HeldPaths,
-    MotionConfig,
     PlannedCloth,
-    PlanningDynamics,
     SimulatorDynamics,
     held_vertex,
 )
@@ -26,11 +23,6 @@ MISSED = PickPlace(np.array([0.3, 0.3, 0.0]), np.array([0.1, 0.1, 0.0]), 0.03)
 @pytest.fixture(scope="module")
 def dynamics():
     return SimulatorDynamics()
-
-
-def test_the_simulator_speaks_the_protocol(dynamics):
-    assert isinstance(dynamics, PlanningDynamics)
-    assert dynamics.predict(LYING, []).shape == (0, FLAT.vertex_count, 3)
 
 
 def test_doing_nothing_and_missing_leave_a_flat_cloth_flat(dynamics):
@@ -77,17 +69,6 @@ def test_the_topmost_vertex_under_the_pick_is_held():
     vertex = held_vertex(cloth, PickPlace(np.array([-0.05, 0.05, 0.01]), CORNER, 0.05))
     assert over[vertex]
     assert held_vertex(cloth, MISSED) is None
-
-
-def test_ways_end_at_the_place_and_wait_there():
-    motion = MotionConfig()
-    held = HeldPaths.of(LYING, [INWARDS, None, ASIDE], motion)
-    assert held.vertices[1] == -1
-    assert held.steps[1] == 0
-    assert held.steps[0] > held.steps[2] > 0
-    for index, action in ((0, INWARDS), (2, ASIDE)):
-        beside = LYING.positions[held.vertices[index]] - action.pick
-        np.testing.assert_allclose(held.targets[index, -1], action.place + beside, atol=1e-9)
 
 
 def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynamics):

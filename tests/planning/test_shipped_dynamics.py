@@ -4,7 +4,6 @@ import hashlib
 
 import numpy as np
 import pytest
-import torch
 from safetensors import safe_open
 
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
@@ -65,16 +64,3 @@ def test_without_other_weights_they_are_what_a_plan_is_tried_in():
     assert np.linalg.norm(moved - lying.positions, axis=1).max() > 0.05
     stretch = np.linalg.norm(np.diff(moved[flat.edges], axis=1)[:, 0], axis=1) / flat.edge_lengths
     assert np.quantile(stretch, 0.99) < 1.2
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_gpu_predicts_the_same():
-    flat = garment("towel", vertex_count=150)
-    lying = PlannedCloth(flat, flat.vertices + [0.0, 0.0, 0.0015])
-    actions = [PickPlace(flat.vertices[k], 0.5 * flat.vertices[k], 0.05) for k in (0, 40, 100)]
-    on = {
-        device: dynamics_of(FlattenConfig(dynamics="mesh"), device=device)
-        for device in ("cpu", "cuda:0")
-    }
-    here, there = (one.predict(lying, actions) for one in on.values())
-    np.testing.assert_allclose(here, there, atol=2e-3)

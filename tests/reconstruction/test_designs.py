@@ -18,7 +18,6 @@ from clothtrack.reconstruction.model_loading import (
     designs,
     load_model,
 )
-from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 from clothtrack_lab.published_networks.registered import PUBLISHED, SHIPPED
 
@@ -71,12 +70,6 @@ def test_the_settings_of_each_network_are_its_own(capsys):
     assert "canonicalisation.epochs=100" in published
     assert "tokens." not in published
     assert tokens.count("=") <= 40
-
-
-def test_sizes_are_no_settings_of_a_fine_tuning():
-    assert LearningConfig.preset("finetune").network is None
-    with pytest.raises(InvalidConfigError, match="papier"):
-        LearningConfig.preset("papier")
 
 
 def test_a_missing_extra_is_named_with_its_remedy(monkeypatch):

@@ -64,39 +64,16 @@ def found(flat, folded, order_m, **options):
     return layers
 
 
-def test_a_pass_moves_each_overlap_half_way_to_its_gap(flat, folded, rows, rng):
-    """As of every overlap that trying all finds: one that is missed or invented would show."""
+@pytest.mark.parametrize("order", [1.0, -1.0])
+def test_layers_come_to_lie_a_gap_apart_in_their_order(flat, folded, rows, rng, order):
+    layers = found(flat, folded, order * folded[:, 2])
+    heights = layers.apart(rng.uniform(0.0, 0.004, flat.vertex_count), GAP_M, 3000)
     assert len(rows) > 150
-    layers = found(flat, folded, folded[:, 2])
-    shares = np.maximum(np.abs(rows).sum(axis=0), 1.0)
-    for _ in range(3):
-        heights = rng.uniform(0.0, 0.01, flat.vertex_count)
-        expected = heights
-        for _ in range(2):
-            expected = expected + 0.5 * rows.T @ np.maximum(GAP_M - rows @ expected, 0.0) / shares
-        np.testing.assert_allclose(layers.apart(heights, GAP_M, 2), expected, atol=1e-12)
-
-
-def test_layers_come_to_lie_a_gap_apart_in_their_order(flat, folded, rows, rng):
-    layers = found(flat, folded, folded[:, 2])
-    heights = layers.apart(rng.uniform(0.0, 0.004, flat.vertex_count), GAP_M, 3000)
-    assert (rows @ heights).min() > 0.98 * GAP_M
+    assert (order * (rows @ heights)).min() > 0.98 * GAP_M
     # What is apart is left alone.
-    apart = folded[:, 2]
-    assert (rows @ apart).min() > GAP_M
+    apart = order * folded[:, 2]
+    assert (order * (rows @ apart)).min() > GAP_M
     np.testing.assert_array_equal(layers.apart(apart, GAP_M, 5), apart)
-
-
-def test_the_other_order_is_the_other_order(flat, folded, rows, rng):
-    layers = found(flat, folded, -folded[:, 2])
-    heights = layers.apart(rng.uniform(0.0, 0.004, flat.vertex_count), GAP_M, 3000)
-    assert (rows @ heights).max() < -0.98 * GAP_M
-
-
-def test_what_lies_on_nothing_stays_where_it_is(flat, rng):
-    heights = rng.uniform(0.0, 0.01, flat.vertex_count)
-    layers = found(flat, flat.vertices, flat.vertices[:, 2])
-    np.testing.assert_array_equal(layers.apart(heights, GAP_M, 3), heights)
 
 
 @pytest.mark.parametrize("votes", [1, 4])

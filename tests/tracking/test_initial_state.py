@@ -73,12 +73,6 @@ def weights(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def never_flat(monkeypatch) -> None:
-    """Every cloth is taken for a crumpled one."""
-    monkeypatch.setattr(initial_state, "FLAT_MISFIT_M", 0.0)
-
-
-@pytest.fixture
 def none_shipped(tmp_path, monkeypatch) -> Path:
     """The package's folder of weights, empty."""
     folder = tmp_path / "shipped"
@@ -102,7 +96,7 @@ def test_the_template_wins_and_says_that_weights_are_not_used(towels, cloud, wei
 
 
 def test_without_weights_the_garment_is_fitted_flat_and_one_line_says_so(
-    towels, cloud, none_shipped, caplog
+    towels, cloud, none_shipped, monkeypatch, caplog
 ):
     with caplog.at_level(logging.INFO):
         first = find_initial_state(towels, cloud, FEW)
@@ -110,11 +104,8 @@ def test_without_weights_the_garment_is_fitted_flat_and_one_line_says_so(
     assert first.positions is None
     assert caplog.text.count("\n") == 1
     assert "no weights for 'towel' come with this installation" in caplog.text
-
-
-def test_a_crumpled_cloth_without_weights_is_fitted_flat_with_a_warning(
-    towels, cloud, none_shipped, never_flat, caplog
-):
+    # A crumpled one with a warning.
+    monkeypatch.setattr(initial_state, "FLAT_MISFIT_M", 0.0)
     assert find_initial_state(towels, cloud, FEW).origin == {"source": "flat"}
     assert "does not match the first cloud" in caplog.text
 
@@ -209,14 +200,6 @@ def test_a_missing_extra_is_named_or_passed_over(seen, none_shipped, weights, mo
     assert "no_such_module is not installed" in caplog.text
 
 
-def test_a_source_that_there_is_not_is_refused():
-    # The type checks of the tests would refuse a wrong word before the configuration itself does.
-    config = InitialStateConfig()
-    object.__setattr__(config, "source", "guess")
-    with pytest.raises(InvalidConfigError, match="choose one of auto, template, network, flat"):
-        config.__post_init__()
-
-
 def test_tracking_starts_where_the_network_saw_the_cloth(filmed, weights, tmp_path, capsys):
     settings = [word for one in SHORT for word in ("--set", one)]
     words = [
@@ -258,20 +241,6 @@ def test_weights_that_are_not_there_are_refused_even_beside_a_template(tmp_path,
     assert cli.main([*arguments, "--weights", str(missing)]) == 1
     assert "no such weights file" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_weights_for_another_garment_are_one_clear_line(filmed, weights, tmp_path, capsys):
-    other = tmp_path / "shirt.safetensors"
-    from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
-    from clothtrack_lab.published_networks.model import network_of
-
-    found = load_weights(weights)
-    save_weights(other, found.tensors, network_of(found), kind="tshirt")
-    words = ["track", str(filmed), "--output", str(tmp_path / "out"), "--weights", str(other)]
-    assert cli.main(words) == 1
-    said = capsys.readouterr().err
-    assert "is for 'tshirt'" in said
-    assert said.count("\n") == 1
 
 
 def test_every_setting_counts_and_weights_count_by_their_content(tmp_path):
