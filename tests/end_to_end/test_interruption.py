@@ -121,20 +121,6 @@ def test_no_worker_outlives_a_run_that_is_ended(many, tmp_path, number, code):
 
 
 @pytest.mark.slow
-def test_sigterm_ends_a_run_without_workers(many, tmp_path):
-    out = tmp_path / "out"
-    with started(tmp_path, "track", *many, "--output", out, *FAST) as process:
-        wait_for(out / "towel_a.zarr", process)
-        # As `timeout` does: once to the process, once to its group.
-        process.send_signal(signal.SIGTERM)
-        os.killpg(process.pid, signal.SIGTERM)
-        _, complained = process.communicate(timeout=20)
-    assert process.returncode == 143, complained
-    assert len(complaints(complained)) == 1, complained
-    assert not leftovers(out)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)]
 )

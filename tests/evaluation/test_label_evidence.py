@@ -1,9 +1,5 @@
 """What is observed of a label: closed forms, and nothing that only the truth could tell."""
 
-import ast
-import inspect
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -47,15 +43,6 @@ def look_at(recording, vertices, before=None):
     label = Label(1, vertices, vertices if before is None else before)
     (found,) = label_evidence(SHEET, [label], recording)
     return found
-
-
-def test_no_part_of_it_can_see_the_truth():
-    for source in (module, label_quality):
-        tree = ast.parse(Path(source.__file__).read_text())
-        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-        assert not {name for name in imported if "truth" in name or "world" in name}
-    for function in (module.labels_of, label_evidence, label_quality.judge_labels):
-        assert "truth" not in inspect.signature(function).parameters
 
 
 def test_a_mesh_is_left_behind_where_the_cloth_is_seen_elsewhere_later(recording):

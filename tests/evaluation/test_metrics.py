@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from clothtrack.evaluation.metrics import (
-    ErrorSummary,
     below_table,
     chamfer_pc,
     chamfer_surface,
@@ -13,7 +12,7 @@ from clothtrack.evaluation.metrics import (
     root_mean_square_mm,
     vertex_error_mm,
 )
-from clothtrack.garments.garment_meshes import towel, tshirt
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.recordings.recording import Table
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
@@ -53,18 +52,6 @@ def test_what_is_wrong_where_nobody_sees_is_told_apart(sheet, rng):
     assert errors["visible"].max == 0.0
     assert errors["hidden"].mean == pytest.approx(12.0)
     assert errors["all"].mean == pytest.approx(12.0 * np.mean(~seen))
-
-
-def test_quantiles_are_those_of_the_distances(rng):
-    distances = rng.permutation(np.linspace(0.0, 100.0, 1001))
-    summary = ErrorSummary.of(distances)
-    assert (summary.median, summary.p95, summary.max) == pytest.approx((50.0, 95.0, 100.0))
-
-
-def test_no_vertex_has_no_error():
-    summary = ErrorSummary.of(np.zeros(0))
-    assert summary.count == 0
-    assert np.isnan([summary.mean, summary.median, summary.p95, summary.max]).all()
 
 
 def test_chamfer_of_a_shifted_cloud_is_the_shift(sheet, rng):
@@ -138,18 +125,6 @@ def test_a_fold_halves_the_coverage_and_a_fold_through_the_cloth_crosses(sheet):
     assert found.crossings > 0
     assert found.close_pairs > 0
     assert found.below_table > 0.1
-
-
-def test_layers_nearer_than_five_millimeters_are_close_pairs():
-    shirt = tshirt(spacing_m=0.02)
-    apart, together = shirt.vertices.copy(), shirt.vertices.copy()
-    apart[:, 2] *= 0.02 / np.ptp(shirt.vertices[:, 2])
-    together[:, 2] = 0.0
-    counts = [
-        cloth_measures(shirt, vertices, None, rest_height_m=0.0).close_pairs
-        for vertices in (apart, together)
-    ]
-    assert counts[0] < counts[1]
 
 
 def test_below_the_table_is_more_than_three_millimeters_under_rest(sheet):

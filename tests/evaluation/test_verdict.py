@@ -58,11 +58,6 @@ def test_a_torn_mesh_with_the_right_outline_is_looked_at():
     assert "40 %" in found.reason
 
 
-def test_a_typical_label_of_the_benchmark_is_trusted():
-    """The median error of the labels of `dev` is 3.0 mm."""
-    assert verdict(label(3.0)).word == "trust"
-
-
 def test_a_lost_flap_under_a_small_mean_is_looked_at_and_named():
     flap = Misplaced(0.15, 0.02, "at the right")
     found = verdict(label(2.5, misplaced=flap))

@@ -76,16 +76,6 @@ def test_more_crossings_than_edges_are_listed_too():
     np.testing.assert_array_equal(faces, np.tile(np.arange(12), 24))
 
 
-def test_the_search_follows_the_vertices():
-    mesh = joined(sheet(5, 1.0), sheet(5, 1.0, shift=(0.03, 0.02, 0.1), turn=about_x(0.4)))
-    search = SelfIntersection(mesh)
-    there = len(search.pairs(mesh.vertices)[0])
-    apart = mesh.vertices + np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]], 25, axis=0)
-    assert there > 5
-    assert len(search.pairs(apart)[0]) == 0
-    assert len(search.pairs(mesh.vertices)[0]) == there
-
-
 def test_a_place_on_the_edge_is_the_place_in_the_triangle():
     mesh = joined(sheet(5, 1.0), sheet(6, 0.8, shift=(0.03, 0.02, 0.1), turn=about_x(0.7)))
     found = SelfIntersection(mesh).contours(mesh.vertices)
@@ -131,9 +121,3 @@ def test_two_places_are_two_contours_each_with_two_sheets():
         there = found.contour == contour
         assert set(found.sides[there]) == {-1, 1}
         assert len({*found.sides[there & lower]}) == len({*found.sides[there & ~lower]}) == 1
-
-
-def test_nothing_is_found_where_nothing_crosses():
-    mesh = joined(sheet(5, 1.0), sheet(5, 1.0, shift=(0.03, 0.02, 0.1)))
-    found = SelfIntersection(mesh).contours(mesh.vertices)
-    assert len(found) == found.count == found.crossing_edges == 0

@@ -78,21 +78,6 @@ def test_one_needle_through_a_sheet_is_counted_and_a_flat_stack_is_not():
     assert crossings(vertices, joined) == brute_crossings(vertices, joined) >= 2
 
 
-def test_what_crosses_is_named_by_its_vertices():
-    sheet, faces = grid(5, 0.4)
-    needle = np.array([[0.03, 0.02, -0.1], [0.031, 0.022, 0.1], [0.03, 0.021, 0.3]])
-    vertices = np.concatenate([sheet, needle])
-    joined = np.concatenate([faces, [[25, 26, 27]]])
-    edges, triangles = crossing_edges(vertices, joined)
-    assert {25, 26} in [set(edge) for edge in edges.tolist()]
-    pierced = [each for each in triangles.tolist() if max(each) < 25]
-    corners = vertices[pierced[0]]
-    assert (corners[:, :2].min(axis=0) <= needle[0, :2]).all()
-    assert (corners[:, :2].max(axis=0) >= needle[0, :2]).all()
-    nothing = crossing_edges(sheet, faces)
-    assert [part.shape for part in nothing] == [(0, 2), (0, 3)]
-
-
 def test_a_check_of_moving_vertices_finds_what_a_new_one_finds():
     rng = np.random.default_rng(5)
     vertices, faces = grid(8, 0.1)

@@ -105,16 +105,6 @@ def test_links_lead_somewhere():
     assert not wrong
 
 
-def test_a_link_of_the_site_is_not_called_by_its_file():
-    called = re.compile(r"\[`?([\w./]+\.md)`?\]\(")
-    wrong = [
-        f"{ids(path)}: {name}"
-        for path in (ROOT / "docs").rglob("*.md")
-        for name in called.findall(path.read_text("utf-8"))
-    ]
-    assert not wrong, "call a page by its title"
-
-
 def test_commands_and_options_exist():
     wrong = []
     for document in PRESENT:
@@ -172,17 +162,3 @@ def test_one_table_has_every_verb_once():
     text = (ROOT / "docs" / "cli.md").read_text()
     named = re.findall(r"^\| `clothtrack ([\w-]+)", text, re.MULTILINE)
     assert sorted(named) == sorted(VERBS)
-
-
-def test_every_verb_writes_json_as_the_page_says():
-    text = (ROOT / "docs" / "cli.md").read_text()
-    assert "Every verb takes `--verbose`" in text
-    for name, verb in VERBS.items():
-        assert "--json" in signature.options_of(verb), name
-
-
-def test_the_readme_shows_the_first_verbs_and_leads_to_the_others():
-    text = (ROOT / "README.md").read_text()
-    for name in ("demo", "import", "track", "evaluate", "view"):
-        assert f"`clothtrack {name}" in text
-    assert "(docs/cli.md)" in text

@@ -5,7 +5,6 @@ change. Tests of behavior import as users do. Unit tests and experiments may loo
 """
 
 import ast
-import json
 import re
 from pathlib import Path
 
@@ -13,7 +12,6 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
 OBEYING = ("tests/end_to_end", "tests/examples", "tests/api", "tests/verification", "examples")
 SCRIPTS = [path for folder in OBEYING for path in sorted((ROOT / folder).rglob("*.py"))]
-NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 IMPORT_LINE = re.compile(r"^ *(?:from clothtrack[\w.]* import|import clothtrack).*$", re.MULTILINE)
 
@@ -39,17 +37,6 @@ def is_front(module):
 def test_examples_and_tests_of_behavior_import_from_fronts():
     found = {path.name: behind_a_front(path.read_text("utf-8")) for path in SCRIPTS}
     assert not {name: modules for name, modules in found.items() if modules}
-
-
-def test_a_notebook_imports_the_front_alone():
-    for path in NOTEBOOKS:
-        cells = json.loads(path.read_text("utf-8"))["cells"]
-        code = "\n".join("".join(one["source"]) for one in cells if one["cell_type"] == "code")
-        lines = re.findall(r"^.*\bimport clothtrack.*$", code, re.MULTILINE)
-        fronts = {"import clothtrack as ct", "import clothtrack_lab as lab"}
-        assert "import clothtrack as ct" in lines, path.name
-        assert set(lines) <= fronts, path.name
-        assert "from clothtrack" not in code, path.name
 
 
 def test_a_page_shows_imports_from_fronts():

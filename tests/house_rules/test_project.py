@@ -53,22 +53,6 @@ def test_the_command_is_installed_with_the_package():
     assert {one.name for one in scripts} >= {"clothtrack", "import"}
 
 
-def test_functions_named_in_the_docs_exist():
-    """`package/module.py: name` in a page names something that the module defines."""
-    wrong = []
-    for page in sorted(ROOT.glob("docs/**/*.md")):
-        for path, names in re.findall(r"`(\w+/\w+\.py): ([\w., ]+)`", page.read_text("utf-8")):
-            own = path.startswith("clothtrack_")
-            module = ROOT / "src" / ("" if own else "clothtrack") / path
-            source = module.read_text("utf-8") if module.exists() else ""
-            wrong += [
-                f"{page.name}: {path}: {name}"
-                for name in re.split(r"[., ]+", names)
-                if not re.search(rf"\b{name}\b", source)
-            ]
-    assert not wrong
-
-
 def test_nobody_is_told_to_install_a_name_that_no_registry_has():
     places = [*ROOT.glob("*.md"), ROOT / "Makefile"]
     for folder in ("src", "docs", "experiments", "benchmarks", "examples"):

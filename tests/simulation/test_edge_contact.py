@@ -46,30 +46,12 @@ def approach(edge_contact: bool) -> ClothSolver:
     return solver
 
 
-def test_ridges_pass_through_each_other_without_edge_contact():
-    assert separation(approach(False)) < 0.0
-
-
 def test_ridges_stop_each_other_and_keep_their_momentum():
     solver = approach(True)
     assert separation(solver) > 0.001
     masses = solver._buffers.masses.numpy()
     momentum = masses @ solver.velocities[0]
     np.testing.assert_allclose(momentum, [0, 0, -0.5 * masses[4:].sum()], atol=2e-3 * masses.sum())
-
-
-def test_flat_layers_list_no_edges():
-    x, y = np.meshgrid(np.arange(6) * 0.01, np.arange(6) * 0.01)
-    layer = np.stack([x.ravel(), y.ravel(), np.zeros(36)], axis=1)
-    first = np.array([[i, i + 1, i + 6] for r in range(5) for i in range(6 * r, 6 * r + 5)])
-    second = np.array([[i + 1, i + 7, i + 6] for r in range(5) for i in range(6 * r, 6 * r + 5)])
-    faces = np.concatenate([first, second])
-    mesh = flat_mesh(
-        np.concatenate([layer, layer + (0.003, 0.002, 0.004)]), np.concatenate([faces, faces + 36])
-    )
-    solver = ClothSolver(mesh, CONFIG, parameters=STIFF)
-    solver.step(0.001)
-    assert solver._contact._edges._totals.numpy().tolist() == [0]
 
 
 def test_every_bent_edge_at_an_edge_is_listed_with_it():
@@ -143,14 +125,3 @@ def test_what_edges_want_is_the_sum_over_all_pairs(friction):
     expected = (weights * inverse)[:, None] * impulse
     np.testing.assert_allclose(buffers.moves.numpy()[0, [0, 1, 4, 5]], expected, atol=1e-8)
     assert not buffers.moves.numpy()[0, [2, 3, 6, 7]].any()
-
-
-def test_a_batch_has_the_bits_of_a_single_run():
-    parameters = [STIFF, replace(STIFF, particle_friction=0.5)]
-    batch = ClothSolver(two_roofs(0.002), CONFIG, parameters=parameters, environments=2)
-    single = ClothSolver(two_roofs(0.002), CONFIG, parameters=parameters[1])
-    velocities = np.random.default_rng(1).normal(scale=0.3, size=(8, 3))
-    for solver in (batch, single):
-        solver.set_velocities(velocities)
-        solver.step(0.02)
-    np.testing.assert_array_equal(batch.positions[1], single.positions[0])

@@ -76,7 +76,7 @@ def test_an_open_front_joins_hem_and_neck(
     assert smallest_angle_deg(opened) > 15.0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_hood_is_a_bag_whose_mouth_is_at_the_neck(seed: int) -> None:
     rng = np.random.default_rng(seed)
     outline = with_hood(draw_sweater(rng), rng)
@@ -115,28 +115,12 @@ def test_towel_is_a_disk_of_the_asked_size(pattern: str) -> None:
     assert np.array_equal(mesh.canonical, mesh.vertices)
 
 
-@pytest.mark.parametrize("kind", ["towel", "tshirt"])
-@pytest.mark.parametrize("count", [500, 3000])
-def test_garment_has_the_wanted_number_of_vertices(kind: str, count: int) -> None:
-    assert abs(garment(kind, vertex_count=count).vertex_count / count - 1.0) < 0.08
-
-
 def test_normals_point_up_in_front_and_down_behind() -> None:
     mesh = tshirt(spacing_m=0.015)
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     height = mesh.canonical[mesh.faces, 2].mean(axis=1)
     assert (np.sign(normals[:, 2]) == np.sign(height)).all()
-
-
-def test_layers_keep_their_gap_and_meet_at_the_seams() -> None:
-    mesh = tshirt(spacing_m=0.01, layer_gap_m=0.004)
-    height = mesh.vertices[:, 2]
-    assert np.array_equal(np.sign(height), np.sign(mesh.canonical[:, 2]))
-    assert np.isclose(height.max(), 0.002)
-    assert np.isclose(height.min(), -0.002)
-    rows = np.abs(height[height != 0.0])
-    assert rows.min() > 0.0005
 
 
 def test_canonical_points_agree_between_triangulations() -> None:
@@ -152,31 +136,7 @@ def test_canonical_points_agree_between_triangulations() -> None:
     assert (rise < 2.0 * gap.min(axis=1)[inner] + 1e-6).all()
 
 
-def test_another_seed_is_another_triangulation() -> None:
-    one, other = (tshirt(spacing_m=0.02, seed=seed) for seed in (0, 1))
-    again = tshirt(spacing_m=0.02, seed=0)
-    assert np.array_equal(one.vertices, again.vertices)
-    assert one.vertices.shape != other.vertices.shape or not np.allclose(
-        one.vertices, other.vertices
-    )
-    assert np.isclose(one.vertex_areas.sum(), other.vertex_areas.sum(), rtol=0.02)
-
-
-def test_front_and_back_are_cut_differently_at_the_neck() -> None:
-    mesh = tshirt(spacing_m=0.01)
-    middle = np.abs(mesh.vertices[:, 0]) < 0.01
-    front, back = (
-        mesh.vertices[middle & (side * mesh.canonical[:, 2] > 0), 1].max() for side in (1, -1)
-    )
-    assert back - front > 0.02
-
-
 @pytest.mark.parametrize("spacing", [0.0, -0.01, 0.2])
 def test_a_spacing_that_does_not_fit_is_refused(spacing: float) -> None:
     with pytest.raises(InvalidConfigError, match="spacing_m"):
         towel(0.3, 0.3, spacing)
-
-
-def test_an_unknown_garment_is_refused() -> None:
-    with pytest.raises(InvalidConfigError, match="trousers"):
-        garment("trousers")

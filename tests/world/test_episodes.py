@@ -140,10 +140,3 @@ def test_same_seed_gives_the_same_bytes(out: Path, tmp_path: Path) -> None:
     last = max((out / "recordings/towel_0003/depth").iterdir()).name
     again = tmp_path / "recordings/towel_0003/depth" / last
     assert again.read_bytes() == (out / "recordings/towel_0003/depth" / last).read_bytes()
-
-
-def test_finished_recordings_are_left_alone(out: Path) -> None:
-    document = out / "recordings" / "towel_0003" / "recording.json"
-    before = document.stat().st_mtime_ns
-    assert simulate(out, "towel", 1, seed=3, config=TINY) == [document.parent]
-    assert document.stat().st_mtime_ns == before

@@ -50,27 +50,6 @@ def test_without_a_garment_seed_all_is_drawn_as_before(kind, tmp_path):
     assert knowing_the_garment(config, None, tmp_path) is config
 
 
-@pytest.mark.slow
-def test_one_garment_is_the_same_for_every_seed_and_starts_are_not():
-    kind = "tshirt"
-    first, second = (
-        SimulatedRobot(one.kind, one.seed, garment=one.garment)
-        for one in (SimulatedEpisode(kind, seed, garment_seed=5) for seed in (1, 2))
-    )
-    garment = OneGarment(kind, 5)
-    for robot in (first, second):
-        np.testing.assert_array_equal(robot.true_cloth()[0].vertices, garment.flat().vertices)
-        assert robot.cloth.size_m == garment.config.size_m
-        assert robot._episode == garment.config
-    assert not np.allclose(first.true_cloth()[1], second.true_cloth()[1])
-    assert not np.allclose(first.observe().depth_m, second.observe().depth_m)
-    other = OneGarment(kind, 6)
-    assert other.config.size_m != garment.config.size_m
-    assert other.config.fabric != garment.config.fabric
-    starts = {SimulatedEpisode(kind, 1, garment_seed=seed).label for seed in (None, 5, 6)}
-    assert len(starts) == 3
-
-
 @pytest.mark.parametrize("seed", range(2))
 def test_no_shipped_network_was_trained_on_such_a_garment(seed):
     usual, states = Ranges(), GarmentRanges()
