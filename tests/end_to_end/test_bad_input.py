@@ -159,15 +159,6 @@ def test_track_says_it_in_one_line_and_leaves_nothing(broken, tmp_path, capsys):
     assert list(out.iterdir()) == []
 
 
-def test_inspect_names_it_too(broken, capsys):
-    folder, words = broken
-    assert cli.main(["inspect", str(folder)]) == 1
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    for word in words:
-        assert word in shown.out
-
-
 def test_a_bad_recording_does_not_stop_the_good_ones(towels, tmp_path, capsys):
     bad, good = tmp_path / "bad", towels / "recordings" / "towel_0002"
     shutil.copytree(towels / "recordings" / "towel_0001", bad)

@@ -86,15 +86,6 @@ def test_meshes_are_exported(results, tmp_path):
     assert len(list((tmp_path / "obj").glob("frame_*.obj"))) == len(tracked.frames)
 
 
-def test_the_page_is_one_file(towels, results, tmp_path, capsys):
-    path, page = results / "default" / f"{NAMES[0]}.zarr", tmp_path / "page.html"
-    words = ["--recordings", str(towels / "recordings"), "--html", str(page)]
-    assert cli.main(["view", str(path), *words]) == 0
-    assert capsys.readouterr().out.strip() == str(page)
-    assert page.stat().st_size > 100_000
-    assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
-
-
 def test_a_finished_result_of_other_settings_is_not_taken_for_ours(towels, results, capsys):
     folder = towels / "recordings" / NAMES[0]
     words = ["track", str(folder), "--output", str(results / "default")]

@@ -60,16 +60,6 @@ def test_what_looks_worse_is_never_expected_to_be_better(model, name):
             assert model.expected_error_m(worse) > model.expected_error_m(one)
 
 
-def test_unknown_evidence_makes_an_unknown_error_only_where_it_counts():
-    (one,) = some_evidence(1)
-    assert math.isnan(PLANTED.expected_error_m(replace(one, cloud_gap_m=math.nan)))
-    same = replace(one, mesh_gap_m=math.nan)
-    assert PLANTED.expected_error_m(same) == PLANTED.expected_error_m(one)
-    evidence = [*some_evidence(50), replace(one, cloud_gap_m=math.nan)]
-    errors = np.linspace(0.002, 0.02, 51)
-    assert fit_quality(evidence, errors).weights == fit_quality(evidence[:-1], errors[:-1]).weights
-
-
 def test_a_fit_needs_labels_with_errors():
     with pytest.raises(InvalidConfigError, match="2 labels"):
         fit_quality(some_evidence(2), np.array([0.01, 0.02]))

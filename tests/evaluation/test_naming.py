@@ -87,9 +87,3 @@ def test_a_shirt_keeps_its_front_and_its_back():
     tracked = trajectory(over, flat[None], "flat")
     points = material_points(flat, truth.faces, true_places(tracked, truth))
     assert np.median(np.linalg.norm(points - flat, axis=1)) > 0.05
-
-
-def test_nothing_is_known_without_canonical_coordinates():
-    truth = known(OBLONG)
-    bare = Truth(truth.positions, truth.faces, truth.frames)
-    assert true_places(run(OBLONG, rename=lambda c: c, source="flat"), bare) is None

@@ -116,23 +116,6 @@ def test_commands_and_options_exist():
     assert not wrong
 
 
-def test_an_option_that_stands_alone_is_one_of_some_command():
-    others = "".join(
-        path.read_text("utf-8")
-        for folder in ("experiments", "benchmarks", "examples")
-        for path in (ROOT / folder).rglob("*.py")
-    )
-    known = set().union(*map(options_of, VERBS), re.findall(r"[\"']--([a-z][\w-]*)", others))
-    wrong = [
-        f"{ids(document)}: --{option}"
-        for document in PRESENT
-        for inline in re.findall(r"`(--[^`]+)`", text_of(document))
-        for option in FLAG.findall(inline)
-        if option not in known
-    ]
-    assert not wrong
-
-
 def test_settings_exist():
     pytest.importorskip("torch")
     known = known_settings()

@@ -14,8 +14,6 @@ TEXTS = sorted(
     for path in (ROOT / folder).rglob(suffix)
 )
 
-Function = ast.FunctionDef | ast.AsyncFunctionDef
-
 
 def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
@@ -23,19 +21,6 @@ def name_of(path: Path) -> str:
 
 def trees():
     return [(name_of(path), ast.parse(path.read_text(encoding="utf-8"))) for path in MODULES]
-
-
-def test_kernels_are_hidden_from_the_shape_checks():
-    """The import hook of the tests would wrap what Warp has to compile."""
-    wrong = [
-        f"{name}:{node.lineno} {node.name}"
-        for name, tree in trees()
-        for node in ast.walk(tree)
-        if isinstance(node, Function | ast.ClassDef)
-        and any("wp." in ast.unparse(decorator) for decorator in node.decorator_list)
-        and not ast.unparse(node.decorator_list[0]).endswith("no_type_check")
-    ]
-    assert not wrong, "put @no_type_check above the Warp decorator"
 
 
 def test_only_our_own_errors_are_raised():

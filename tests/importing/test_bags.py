@@ -108,21 +108,6 @@ def test_mcap_of_another_writer(compression, film, tmp_path):
     assert_same(tmp_path / "out", film)
 
 
-def test_a_bag_in_several_parts_is_read_in_natural_order(tmp_path):
-    film = Film(frames=12)
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    for part in range(12):
-        one = Film(frames=12)
-        one.times, one.depth, one.color = (
-            a[part : part + 1] for a in (film.times, film.depth, film.color)
-        )
-        written = write_ros2(tmp_path / f"part{part}", stream(one, ROS2), ROS2, storage="sqlite3")
-        (written / f"part{part}.db3").rename(folder / f"bag_{part}.db3")
-    import_recording(folder, tmp_path / "out")
-    assert_same(tmp_path / "out", film)
-
-
 @pytest.mark.parametrize("share", [0.45, 0.8])
 @pytest.mark.parametrize("kind", ["mcap", "mcap zstd", "sqlite", "ros 1", "ros 1 lz4"])
 def test_a_bag_that_breaks_off_is_refused_by_name(kind, share, tmp_path):
@@ -186,19 +171,6 @@ def test_topics_that_cannot_be_guessed_are_listed(film, tmp_path):
     chosen = ImportOptions(depth_topic="/mine/tiefe", color_topic="/mine/farbe")
     import_recording(source, tmp_path / "out", chosen)
     assert_same(tmp_path / "out", film)
-
-
-def test_two_cameras_must_be_chosen_between(film, tmp_path):
-    entries = [
-        *stream(film, ROS2, depth="/left/depth/image_raw", color="/left/color/image_raw"),
-        *stream(film, ROS2, depth="/right/depth/image_raw", color="/right/color/image_raw"),
-    ]
-    source = write_ros2(tmp_path / "bag", entries, ROS2)
-    with pytest.raises(InvalidRecordingError, match=r"/left/depth/image_raw.*--depth-topic"):
-        import_recording(source, tmp_path / "out")
-    chosen = ImportOptions(depth_topic="/right/depth/image_raw")
-    report = import_recording(source, tmp_path / "out", chosen)
-    assert report.streams["color"] == "/right/color/image_raw"
 
 
 def test_depth_that_the_driver_registered_is_preferred(film, tmp_path):

@@ -36,15 +36,6 @@ def test_every_bit_arrives(style, unit_m, film, tmp_path):
     assert recording.cameras[0].fx == film.f
 
 
-def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
-    source = write_folder(tmp_path / "film", film, "open3d")
-    (source / "depth" / "000001.png").unlink()
-    report = import_recording(source, tmp_path / "out")
-    times = [frame.time_s for frame in read_recording(tmp_path / "out").frames]
-    assert np.allclose(times, [0, 2 / 30, 3 / 30])
-    assert "1 color pictures" in report.dropped[0]
-
-
 def test_depth_as_jpeg_is_called_so(film, tmp_path):
     source = write_folder(tmp_path / "film", film, "open3d")
     for file in (source / "depth").iterdir():

@@ -104,15 +104,6 @@ def test_a_gripper_on_the_clock_of_another_machine(tmp_path):
     assert any("-5.000 s" in note for note in report.notes)
 
 
-def test_a_frame_as_the_world(tmp_path):
-    source = bag(tmp_path / "bag", ROS2)
-    chosen = ImportOptions(picker_frame="tool", world_frame="base")
-    import_recording(source, tmp_path / "out", chosen)
-    recording = read_recording(tmp_path / "out")
-    assert np.allclose(recording.cameras[0].position, [0, 0, 1])
-    assert np.allclose(recording.picker_paths["picker"].positions[4], tip(4))
-
-
 def test_a_path_that_nothing_ties_to_the_camera(tmp_path):
     entries = [*stream(FILM, ROS2)]
     for k, time in enumerate(FILM.times.tolist()):
@@ -245,13 +236,6 @@ def test_transforms_against_products(rng):
     assert np.array_equal(tree.moments("c", "b"), times)
     assert tree.connects("/c", "b")
     assert not tree.connects("c", "elsewhere")
-
-
-def test_a_circle_of_frames_ends():
-    tree = TransformTree()
-    tree.add("a", "b", 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), static=True)
-    tree.add("b", "a", 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), static=True)
-    assert tree.lookup("a", "b", np.array([1])).shape == (1, 4, 4)
 
 
 @pytest.mark.parametrize("content", ["[]", "[[1,0,0,0],[0,1,0,0],[0,0,2,0],[0,0,0,1]]", "{"])

@@ -39,10 +39,3 @@ def test_the_two_layers_of_a_shirt_stay_apart():
     own_front = coarsen.flat.canonical[deep, 2] > 0.0
     assert (up[deep][own_front] > 0.07).all()
     assert (up[deep][~own_front] < 0.03).all()
-
-
-def test_a_garment_nobody_can_make_is_planned_as_it_is():
-    fine = garment("towel", vertex_count=200)
-    coarsen = Coarsener(fine, "other")
-    assert coarsen.flat is fine
-    np.testing.assert_array_equal(coarsen(fine.vertices), fine.vertices)

@@ -19,7 +19,7 @@ from clothtrack.planning.perception import Estimate, PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.robots.robot import Execution, Reachability, RgbdFrame
-from clothtrack.planning.seen import seen_area, table_pixel_areas
+from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
@@ -157,23 +157,6 @@ def test_another_episode_is_not_gone_on_with(tmp_path):
         paper(tmp_path, replace(CONFIG, actions=1), seed=5)
 
 
-def test_weights_count_by_what_is_in_them(tmp_path):
-    one, same, other = (tmp_path / name for name in ("one", "same", "other"))
-    for path, content in ((one, b"1"), (same, b"1"), (other, b"2")):
-        path.write_bytes(content)
-    paper(tmp_path, of_weights(one))
-    _, kept = paper(tmp_path, of_weights(same))
-    assert kept.document["made_with"]["weights"] == {"network": "one"}
-    assert kept.document["made_with"]["packages"]["numpy"]
-    assert str(tmp_path) not in (tmp_path / "episode" / "episode.json").read_text()
-    with pytest.raises(InvalidConfigError, match=r"another weights_sha256\.network"):
-        paper(tmp_path, of_weights(other))
-
-
-def of_weights(path):
-    return replace(CONFIG, actions=1, perception=PerceptionConfig(weights=str(path)))
-
-
 def test_an_episode_goes_on_where_nothing_promises_a_gain(tmp_path):
     class Shrink(Stretch):
         def predict(self, cloth, actions):
@@ -184,23 +167,6 @@ def test_an_episode_goes_on_where_nothing_promises_a_gain(tmp_path):
     assert store.document["status"] == "flat"
     assert robot.done == 5
     assert all(step["gain_m2"] < 0.0 for step in store.steps[1:])
-
-
-def test_a_pixel_of_the_table_is_as_large_as_it_is():
-    areas = table_pixel_areas(CAMERA, TABLE)
-    np.testing.assert_allclose(areas, (0.8 / 150.0) ** 2, rtol=1e-9)
-    tilt = np.radians(30.0)
-    pose = POSE.copy()
-    pose[:3, :3] = POSE[:3, :3] @ np.array(
-        [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
-    )
-    camera = replace(CAMERA, world_from_camera=pose)
-    corner = np.array([[x, y] for x in (9.5, 10.5) for y in (19.5, 20.5)])
-    rays = np.column_stack([(corner - [79.5, 59.5]) / 150.0, np.ones(4)]) @ pose[:3, :3].T
-    hits = pose[:3, 3] - rays * (0.8 / rays[:, 2:])
-    side = hits[[1, 2]] - hits[0]
-    area = np.linalg.norm(np.cross(side[0], side[1]))
-    assert table_pixel_areas(camera, TABLE)[20, 10] == pytest.approx(area, rel=0.01)
 
 
 def test_the_control_plans_is_labeled_and_leaves_a_normal_recording(tmp_path):

@@ -12,7 +12,6 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
     Ways,
-    advance,
     roll_out,
 )
 from clothtrack_lab.graph_dynamics.mesh_prior import (
@@ -22,9 +21,6 @@ from clothtrack_lab.graph_dynamics.mesh_prior import (
 )
 
 CONFIG = MeshNetworkConfig(width=16, message_steps=2)
-REFERENCE = {
-    "projections": 0, "dragging": 0, "kept_velocity": 1.0, "gravity": 0.0, "tethered": False,
-}  # fmt: skip
 FLAT = towel(0.2, 0.2, 0.04)
 
 
@@ -83,34 +79,6 @@ def test_numbering_means_nothing(network):
         network, positions[:, order], velocities[:, order], held[:, order], renamed
     )
     np.testing.assert_allclose(here[:, order], there, atol=1e-5)
-
-
-def test_a_step_is_semi_implicit_and_obeys_the_gripper_and_the_table(network):
-    positions, velocities, held = state()
-    targets = positions + 0.02
-    lowest = 0.0
-    told = velocities.clone()
-    told[held] = torch.cat([told[held][:, :-1], torch.full((1, 1, 3), 0.02 / CONFIG.step_s)], dim=1)
-    change = accelerations(network, positions, told, held)
-    assert change.abs().max() > 0.1
-    network = unprojected(network)
-    with torch.no_grad():
-        after, past = advance(
-            network, positions, velocities, held, springs_of(FLAT), targets=targets, lowest_m=lowest
-        )
-    step = CONFIG.step_s
-    free = positions + step * (velocities[:, :, -1] + step * change)
-    free[..., 2].clamp_(min=lowest)
-    np.testing.assert_allclose(after[~held], free[~held], atol=1e-5)
-    np.testing.assert_allclose(after[held], targets[held])
-    np.testing.assert_allclose(past[:, :, :-1], velocities[:, :, 1:])
-    np.testing.assert_allclose(past[:, :, -1], (after - positions) / step, atol=1e-5)
-
-
-def unprojected(network):
-    free = MeshNetwork(replace(CONFIG, **REFERENCE)).eval()
-    free.load_state_dict(network.state_dict())
-    return free
 
 
 def test_a_held_corner_draws_the_cloth_along_and_stretches_it_little():

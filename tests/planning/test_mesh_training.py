@@ -1,7 +1,5 @@
 """Mesh dynamics learn from roll-outs, resume, and are asked like the simulator."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -74,19 +72,6 @@ def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs,
         train_mesh_dynamics(roll_outs, "towel", replace(TINY, noise_m=0.5), tmp_path)
 
 
-def test_windows_follow_from_the_draw_and_hold_what_was_held(roll_outs):
-    examples = WindowExamples(roll_outs, TINY)
-    one, again, other = examples[3, 1], examples[3, 1], examples[3, 2]
-    torch.testing.assert_close(one.past, again.past, rtol=0.0, atol=0.0)
-    assert not torch.equal(one.past, other.past)
-    assert one.past.shape[1] == TINY.network.history + 1
-    assert one.held.sum(dim=2).max() <= 1
-    drawn = [examples[index, 0] for index in range(len(examples))]
-    assert sum(int(each.held.sum()) for each in drawn) > 0
-    with pytest.raises(InvalidConfigError, match="no shard"):
-        WindowExamples([], TINY)
-
-
 def test_the_loss_of_the_truth_is_zero(roll_outs):
     """A network that predicts what happens: here, of a cloth at rest, nothing."""
     # Fresh, it accelerates nothing; roll-outs may be stretched a little, so nothing is shortened.
@@ -119,12 +104,3 @@ def test_the_held_vertex_ends_at_the_place():
     assert dynamics.predict(LYING, []).shape == (0, FLAT.vertex_count, 3)
     with pytest.raises(InvalidConfigError, match="time_step_s"):
         MeshDynamics(MeshNetwork(TINY.network), MeshDynamicsConfig(motion=MotionConfig()))
-
-
-def test_planning_does_not_import_torch():
-    code = (
-        "import sys, clothtrack.planning.action_space, clothtrack.planning.planning_dynamics, "
-        "clothtrack.planning.reward, clothtrack_lab.graph_dynamics.roll_outs; "
-        "sys.exit('torch' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -49,18 +49,6 @@ def test_a_candidate_is_the_same_alone_and_among_others(dynamics):
     np.testing.assert_array_equal(again, together)
 
 
-def test_a_higher_table_changes_nothing_but_the_height(dynamics):
-    raised = PlannedCloth(FLAT, LYING.positions + [0.0, 0.0, 0.5], 0.5)
-    up = [0.0, 0.0, 0.5]
-    action = PickPlace(INWARDS.pick + up, INWARDS.place + up, INWARDS.lift_m)
-    (high,) = dynamics.predict(raised, [action])
-    (low,) = dynamics.predict(LYING, [INWARDS])
-    # Rounding decides where a vertex in the fold comes to lie, and on which of its neighbors.
-    assert np.linalg.norm(high - up - low, axis=1).mean() < 2e-3
-    area = projected_area(low, FLAT.faces)
-    assert projected_area(high, FLAT.faces) == pytest.approx(area, rel=0.002)
-
-
 def test_the_topmost_vertex_under_the_pick_is_held():
     folded = FLAT.vertices.copy()
     over = folded[:, 0] > 0.0
@@ -75,13 +63,3 @@ def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynam
     asked = [INWARDS, None, ASIDE, MISSED]
     apart = SimulatorDynamics(together=1).predict(LYING, asked)
     np.testing.assert_allclose(apart, dynamics.predict(LYING, asked), atol=2e-3)
-
-
-def test_a_fine_cloth_says_which_layer_is_on_top():
-    """Two layers: the coarse mesh has no vertex of the upper one near, the fine one has."""
-    fine = np.array([[0.1, 0.1, 0.02], [0.1, 0.1, 0.0], [-0.1, -0.1, 0.0]])
-    stands_for = np.array([7, 3, 5])
-    known = PlannedCloth(FLAT, LYING.positions, fine=fine, stands_for=stands_for)
-    assert held_vertex(known, INWARDS) == 7
-    elsewhere = PickPlace(np.array([0.0, 0.0, 0.0]), CORNER, 0.05)
-    assert held_vertex(known, elsewhere) == held_vertex(LYING, elsewhere)

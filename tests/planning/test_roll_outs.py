@@ -52,15 +52,3 @@ def test_a_shard_depends_on_seed_and_number_alone(roll_outs, small_roll_outs):
     other = make_roll_outs("towel", 2, 0, small_roll_outs)
     assert other.positions.shape[2] == read_roll_outs(roll_outs[2]).positions.shape[2]
     assert not np.array_equal(other.positions, again.positions)
-
-
-def test_every_second_moment_is_held_until_the_first_after_letting_go(roll_outs):
-    shard = read_roll_outs(roll_outs[0])
-    coarse = shard.every(2.0 * shard.frame_s)
-    np.testing.assert_array_equal(coarse.positions, shard.positions[:, ::2])
-    np.testing.assert_array_equal(2 * coarse.held_frames - shard.held_frames % 2, shard.held_frames)
-    assert coarse.frame_s == 2.0 * shard.frame_s
-    np.testing.assert_array_equal(shard.every(shard.frame_s).positions, shard.positions)
-    for wrong in (0.5, 1.5):
-        with pytest.raises(InvalidConfigError, match="step_s"):
-            shard.every(wrong * shard.frame_s)

@@ -12,10 +12,8 @@ from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data import batch_view
 from clothtrack.reconstruction.data.batch_draws import draw_scenes
 from clothtrack.reconstruction.data.batch_pictures import Cloths, measure
-from clothtrack.reconstruction.data.batch_raster import Projected, nearest_faces, unpacked
 from clothtrack.reconstruction.data.batch_rows import rows_of
 from clothtrack.reconstruction.data.batch_sensor import (
-    flying,
     measured_depth,
 )
 from clothtrack.reconstruction.data.batch_surface import on_mesh
@@ -25,7 +23,6 @@ from clothtrack.reconstruction.data.render_config import SENSORS, RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-from clothtrack.recordings.camera_view import flying_pixels
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()
@@ -83,32 +80,6 @@ def test_the_rasterizer_is_that_of_warp(kind):
     assert same / shown > 0.995
 
 
-def drawn(columns, rows, depth, faces, shape):
-    points = Projected(*(torch.tensor(one) for one in (columns, rows, [1.0 / d for d in depth])))
-    corners = torch.tensor(faces).T
-    keys = nearest_faces(points, corners, torch.zeros(len(faces), dtype=torch.int64), shape)
-    depth, face = unpacked(keys)
-    return depth.view(shape).numpy(), face.view(shape).numpy()
-
-
-def test_the_nearest_face_wins_and_seams_are_closed():
-    columns, rows = [0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0], [0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0]
-    depth = [2.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0]
-    faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
-    _, face = drawn(columns, rows, depth, faces, (1, 10, 10))
-    # The square of the first two has no hole along its diagonal; the third hides the first.
-    assert set(np.unique(face)) == {1, 2}
-    assert (face >= 0).all()
-    assert (np.triu(np.ones((10, 10))) == (face == 2)).all()
-
-
-def test_what_has_no_area_or_lies_behind_the_camera_is_not_drawn():
-    columns, rows = [0.0, 5.0, 9.0, 0.0, 9.0, 0.0], [5.0, 5.0, 5.0, 0.0, 0.0, 9.0]
-    depth = [1.0, 1.0, 1.0, 1.0, 1.0, -1.0]
-    _, face = drawn(columns, rows, depth, [[0, 1, 2], [3, 4, 5], [0, 0, 0]], (1, 10, 10))
-    assert (face == -1).all()
-
-
 def test_pictures_drawn_together_are_those_drawn_alone():
     """In a batch of other sizes a picture has more table around it, and is the same."""
     _, cloths = cloths_of("tshirt", 6, PERFECT)
@@ -155,19 +126,6 @@ def test_each_sensor_measures_as_badly_as_that_of_a_single_picture(config):
         assert known[0].std() == pytest.approx(spread, rel=0.03)
     steps = [np.unique(np.round(1e6 / one[level][one[level] > 0])) for one in (found, expected)]
     assert len(set(steps[0]) ^ set(steps[1])) <= 0.4 * len(steps[1])
-
-
-def test_flying_pixels_are_those_of_single_pictures():
-    rng = np.random.default_rng(4)
-    depth = np.cumsum(rng.choice([0.0, 0.0, 0.02, -0.02], (3, 60, 70)), axis=2) + 1.5
-    depth = np.where(rng.random(depth.shape) < 0.05, 0.0, depth).astype(np.float32)
-    focal = torch.tensor([200.0, 300.0, 450.0])
-    found = flying(torch.from_numpy(depth), focal).numpy()
-    assert 0.01 < found.mean() < 0.5
-    for number in range(3):
-        np.testing.assert_array_equal(
-            found[number], flying_pixels(depth[number], float(focal[number]))
-        )
 
 
 def labeled(positions, camera, picture):

@@ -53,26 +53,6 @@ def test_weights_come_back_to_the_bit(line, weights):
         assert torch.equal(value, other.trained.state_dict()[name]), name
 
 
-def test_the_runs_that_led_to_weights_are_told_one_by_one(line, tmp_path):
-    """Weights of before held each the one before; what is written now lists them."""
-    path, stage = tmp_path / "weights.safetensors", line.LineStage(seed=3)
-    first = {"step": 1, "data": {"states": 5}}
-    second = {"step": 2, "data": {"states": 6, "start": first}}
-    phases = [{"from_step": 0, "data": {"states": 7, "start": second}}]
-    provenance = {"step": 3, "data": {"states": 8, "start": second}, "phases": phases}
-    for step in (4, 5):
-        state = stage.trained.state_dict()
-        save_weights(path, state, stage.network, kind="towel", provenance=provenance)
-        weights = load_weights(path)
-        provenance = {"step": step, "data": {"start": weights.runs}}
-    assert weights.runs == [
-        first,
-        {"step": 2, "data": {"states": 6}},
-        {"step": 3, "data": {"states": 8}, "phases": [{"from_step": 0, "data": {"states": 7}}]},
-        {"step": 4, "data": {}},
-    ]
-
-
 def test_weights_that_are_no_numbers_are_refused(line, tmp_path):
     stage = line.LineStage()
     with torch.no_grad():

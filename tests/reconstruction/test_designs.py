@@ -1,7 +1,5 @@
 """Which network weights are of, what it needs, and what of it is shipped."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
@@ -13,7 +11,6 @@ from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.model_loading import (
     TOKENS,
-    design_named,
     design_of,
     designs,
     load_model,
@@ -41,17 +38,6 @@ def test_weights_that_no_package_knows_are_refused_by_name(tmp_path, monkeypatch
     monkeypatch.setattr(model_loading, "entry_points", lambda group: ())
     with pytest.raises(InvalidResultError, match=r"towel\.safetensors.*clothtrack_lab"):
         design_of(published)
-
-
-def test_the_extra_that_a_design_needs_is_named(monkeypatch):
-    lacking = replace(PUBLISHED, modules=("torch", "no_such_module"))
-    monkeypatch.setattr(model_loading, "designs", lambda: iter((TOKENS, lacking)))
-    weights = load_weights(SHIPPED / "towel.safetensors")
-    for ask in (lambda: design_of(weights), lambda: design_named("small")):
-        with pytest.raises(InvalidConfigError, match=r"no_such_module.*install with: .*published"):
-            ask()
-    # What is not asked for needs nothing.
-    assert design_named("tokens") is TOKENS
 
 
 def test_a_network_that_nobody_has_is_refused_with_those_that_there_are(tmp_path, capsys):

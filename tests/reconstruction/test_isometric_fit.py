@@ -68,13 +68,6 @@ def test_a_cloth_folded_in_half_comes_out_as_two_flat_layers(flat, guide, cloth,
     np.testing.assert_allclose(cloth.confined(laid)[:, :2], laid[:, :2], atol=0.004)
 
 
-def test_what_fits_is_polished_without_being_moved(flat, fit, truth, cloth):
-    polished = fit.polished(truth, cloth, max(SIZE_M))
-    crease = np.abs(flat.canonical[:, 0]) < 0.03
-    assert np.linalg.norm(polished - truth, axis=1)[~crease].max() < 0.004
-    assert strain(flat, polished).mean() < 0.01
-
-
 def test_layers_are_taken_apart_by_their_heights_alone(flat, fit, truth, rng):
     pressed = truth * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.001)
     apart = fit.layered(pressed, truth[:, 2], 0.0)

@@ -181,16 +181,6 @@ def test_a_garment_that_comes_to_nothing_is_exchanged_for_another(monkeypatch, c
     assert "another garment is drawn" in caplog.text
 
 
-def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:
-    mesh, (smoothed,) = episode("flat")
-    size = np.ptp(mesh.vertices[:, :2], axis=0)
-    assert np.ptp(smoothed.positions[:, :2], axis=0) == pytest.approx(size, rel=0.15)
-    assert smoothed.positions[:, 2].max() < 0.02
-    _, (dropped,) = episode("drop")
-    assert dropped.positions[:, 2].max() > 0.02
-    assert projected_area(dropped.positions, mesh.faces) < 0.9 * size.prod()
-
-
 def test_a_fold_halves_a_towel_and_keeps_its_layers_in_order() -> None:
     for seed in range(2):
         mesh, (state,) = episode("fold", seed, pressed=0.0)

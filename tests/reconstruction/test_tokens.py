@@ -83,20 +83,6 @@ def tokens_of(name: str) -> GarmentTokens:
     return GarmentTokens.of(meshes()[name])
 
 
-@pytest.mark.parametrize("name", ["square", "cardigan"])
-def test_a_larger_garment_is_told_alike(name: str) -> None:
-    mesh, tokens = meshes()[name], tokens_of(name)
-    anew, scaled = GarmentTokens.of(mesh.scaled(1.5)), tokens.scaled(1.5)
-    assert anew.size_m == pytest.approx(scaled.size_m)
-    # Of equally far points either may be the next token, so that two may change their numbers.
-    first, second = (np.lexsort(np.round(one.canonical, 4).T) for one in (anew, scaled))
-    np.testing.assert_allclose(anew.canonical[first], scaled.canonical[second], atol=1e-5)
-    np.testing.assert_allclose(anew.features[first], scaled.features[second], atol=2e-5)
-    # Of equally near tokens either may be taken, so that shares differ and what they say does not.
-    said, wanted = anew.at_vertices(anew.canonical), scaled.at_vertices(scaled.canonical)
-    assert np.linalg.norm(said - wanted, axis=1).mean() < 1e-3 * anew.size_m
-
-
 def example(mesh: ClothMesh, tokens: GarmentTokens, seed: int) -> TokenExample:
     rng = np.random.default_rng(seed)
     positions = np.asarray(mesh.vertices, float) + [0.0, 0.0, 0.01]
@@ -165,36 +151,6 @@ def test_the_halves_of_an_open_front_are_not_neighbors() -> None:
     for side in (x > 0.01, x < -0.01):
         near = tokens.neighbors[front & side]
         assert (x[near] * np.sign(x[front & side])[:, None] > -1e-6).all()
-
-
-def test_neighbors_are_neighbors_through_the_cloth() -> None:
-    mesh = shirt(replace(LONG_SLEEVES, sleeve_angle_rad=1.05), 0.6, vertex_count=1500)
-    tokens = GarmentTokens.of(mesh)
-    body = np.abs(tokens.canonical[:, 0]) < 0.3 * 0.74 * 0.6
-    low = tokens.canonical[:, 1] < 0.0
-    cuff = np.abs(tokens.canonical[:, 0]) > 0.55 * np.abs(tokens.canonical[:, 0]).max()
-    assert (cuff & low).any()
-    near = tokens.neighbors[cuff & low]
-    assert not (body & low)[near].any()
-    np.testing.assert_array_equal(tokens.neighbors[:, 0], np.arange(TOKENS))
-
-
-def test_pixels_are_named_by_the_tokens_around_what_they_show(told) -> None:
-    _, mesh, tokens = told
-    for seed in range(4):
-        drawn = example(mesh, tokens, seed)
-        rows, columns = drawn.pixels.T
-        stride = TINY.output_stride
-        block = drawn.height.reshape(64, stride, 64, stride).max(axis=(1, 3))
-        height = block[rows, columns]
-        named = (drawn.places[drawn.pixel_tokens] * drawn.pixel_shares[..., None]).sum(axis=1)
-        # The pixel's own place, from its column, row and height.
-        tick = np.tan(np.radians(22.5)) / 64.0
-        x = (stride * (columns + 0.5) - 64.0) * tick * (drawn.distance - height)
-        y = -(stride * (rows + 0.5) - 64.0) * tick * (drawn.distance - height)
-        apart = np.linalg.norm(named - np.column_stack([x, y, height]), axis=1)
-        assert np.median(apart) < 0.025
-        assert np.percentile(apart, 95) < 0.06
 
 
 def test_the_network_answers_each_picture_by_itself(told) -> None:

@@ -171,28 +171,6 @@ def test_training_that_helps_nothing_changes_nothing(line, tmp_path):
     assert_same_bits(kept, line.LineStage().trained.state_dict())
 
 
-def test_tensorboard_reads_the_same_scalars(line, tmp_path):
-    accumulators = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    line.train_line(tmp_path, epochs=2)
-    board = accumulators.EventAccumulator(str(tmp_path))
-    board.Reload()
-    found = {one.step: one.value for one in board.Scalars("held_out/error")}
-    wanted = {one["step"]: one["error"] for one in read_scalars(tmp_path) if "error" in one}
-    assert found.keys() == wanted.keys()
-    np.testing.assert_allclose([found[k] for k in wanted], list(wanted.values()), rtol=1e-6)
-
-
-def test_the_rate_is_constant_or_a_triangle():
-    constant = TrainingConfig(low_rate=1e-3, high_rate=1e-3)
-    assert {constant.rate(step, 10) for step in range(200)} == {1e-3}
-    cyclic = TrainingConfig(low_rate=1e-6, high_rate=1e-5)
-    rates = [cyclic.rate(step, 10) for step in range(161)]
-    assert rates[0] == rates[80] == rates[160] == pytest.approx(1e-6)
-    assert rates[40] == rates[120] == max(rates) == pytest.approx(1e-5)
-    slopes = np.diff(rates)
-    np.testing.assert_allclose(np.abs(slopes), 9e-6 / 40, rtol=1e-9)
-
-
 def test_groups_are_not_parted():
     groups = [f"trajectory {number // 4}" for number in range(80)]
     training, held_out = split_by_group(groups, 0.1, seed=2)

@@ -13,7 +13,7 @@ from clothtrack.garments.garment_meshes import trousers
 from clothtrack.garments.outlines import TrousersOutline
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasterizer
-from clothtrack.reconstruction.cuts import cuts, sized
+from clothtrack.reconstruction.cuts import cuts
 from clothtrack.reconstruction.tokens.token_learning import KIND, PREFIX
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.training.checkpoint import save_weights
@@ -119,12 +119,3 @@ def test_a_recording_says_that_it_shows_trousers(drawn, size_m, untrained, tmp_p
     np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), size_m, rtol=1e-6)
     # Of two layers: a towel or a part of them would have none of these.
     assert np.ptp(mesh.canonical[:, 2]) > 0.05 * size_m[0]
-
-
-@pytest.mark.parametrize("width_m", [0.35, 0.5, 0.7, 1.2])
-def test_the_width_over_the_length_says_whether_trousers_are_short(width_m):
-    long, short = (cut.size_m[0] / cut.size_m[1] for cut in cuts("trousers", 400))
-    found = sized("trousers", (width_m, 0.9), 400)
-    np.testing.assert_allclose(found.size_m, (width_m, 0.9), rtol=1e-6)
-    # The geometric mean is as far from either.
-    assert found.cut == ("trousers" if width_m / 0.9 < (long * short) ** 0.5 else "shorts")

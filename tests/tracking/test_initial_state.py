@@ -4,7 +4,7 @@ import json
 import logging
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,6 @@ from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking import initial_state
 from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
 from clothtrack.tracking.initial_state import find_initial_state
-from clothtrack.tracking.pipeline import config_hash, counted_settings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack_lab.world.episodes import SMALL_WORLD
 from clothtrack_lab.world.filming import simulate
@@ -241,22 +240,6 @@ def test_weights_that_are_not_there_are_refused_even_beside_a_template(tmp_path,
     assert cli.main([*arguments, "--weights", str(missing)]) == 1
     assert "no such weights file" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_every_setting_counts_and_weights_count_by_their_content(tmp_path):
-    assert counted_settings(RunConfig()) == asdict(RunConfig())
-    one, same, other = (tmp_path / name for name in ("one", "same", "other"))
-    for path, content in ((one, b"1"), (same, b"1"), (other, b"2")):
-        path.write_bytes(content)
-    hashes = {
-        path.name: config_hash(RunConfig(initial_state=InitialStateConfig(weights=str(path))))
-        for path in (one, same, other)
-    }
-    assert hashes["one"] == hashes["same"] != hashes["other"]
-    assert len({*hashes.values(), config_hash(RunConfig())}) == 3
-    flat = RunConfig(initial_state=InitialStateConfig(source="flat"))
-    assert config_hash(flat) != config_hash(RunConfig())
-    assert asdict(flat)["initial_state"]["source"] == "flat"
 
 
 WITHOUT_TORCH = """

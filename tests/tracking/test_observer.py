@@ -1,14 +1,10 @@
 """The clouds of a recording: a picture is decoded and segmented once, whoever looks at it."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings import camera_view
-from clothtrack.recordings.geometry_checks import small_pictures as reduction
-from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
@@ -64,20 +60,3 @@ def test_every_picture_is_decoded_once_also_where_points_are_followed(recording,
     for frame, observation in zip(recording.frames, seen, strict=True):
         alone = observe(recording, frame, segmenter)
         np.testing.assert_array_equal(observation.points, alone.points)
-
-
-@pytest.mark.parametrize("color", [True, False])
-def test_what_was_looked_at_is_not_decoded_again_for_the_checks(recording, monkeypatch, color):
-    reducer = reduction.PictureReducer(recording)
-    clouds = observer(recording, 0.004, middle, color=color, look=reducer.look)
-    seen = clouds(recording.frames[0]), clouds(recording.frames[2])
-    frames = ObservedFrames(recording, clouds, reducer)
-    decoded = decoded_by(reduction, monkeypatch)
-    found = frames.small
-    left_out = recording.frames[1]
-    assert decoded == [left_out.depth["top"], left_out.color["top"]]
-    whole = reduction.small_pictures(recording)
-    for field in fields(whole):
-        given, expected = getattr(found, field.name), getattr(whole, field.name)
-        np.testing.assert_array_equal(given, expected, err_msg=field.name)
-    assert (frames.at(0), frames.at(2)) == seen

@@ -12,7 +12,6 @@ from clothtrack.tracking.search import Scores, SearchConfig, coordinate_descent,
 START = replace(RunConfig().cloth.theta(), table_friction=1.0, particle_friction=1.0)
 AXES = dict(PAPER_AXES)
 BEST = (1e-2, 3.0, 0.3)
-SIZE = int(np.prod([len(values) for values in AXES.values()]))
 
 
 def bowl(values) -> float:
@@ -43,14 +42,6 @@ def test_finds_the_optimum_of_a_bowl(propose) -> None:
     assert chosen == BEST
     assert record.scores[record.best] == record.scores.min() == pytest.approx(1e-4)
     assert record.roll_outs == len(record.scores) == len(record.candidates)
-
-
-def test_the_grid_tries_every_combination_once_and_descent_fewer() -> None:
-    chosen, scores = searched(grid(AXES))
-    record = scores.record("grid", "open_loop", chosen)
-    assert len(np.unique(record.candidates, axis=0)) == len(record.scores) == SIZE
-    chosen, scores = searched(descent())
-    assert scores.record("descent", "open_loop", chosen).roll_outs < 0.7 * SIZE
 
 
 def test_an_exploded_candidate_is_the_worst_one() -> None:

@@ -56,16 +56,6 @@ def film_tiny(hardness: str, out: Path, **changes: object) -> np.lib.npyio.NpzFi
     return np.load(out / "truth" / "one.npz")
 
 
-def test_fifty_trajectories_and_ten_hard_ones() -> None:
-    normal = trajectories(("dev", "test"))
-    assert len(normal) == 50
-    assert sum(one.kind == "towel" for one in normal) == 25
-    assert {one.hardness for one in normal} == {"none"}
-    hard = trajectories(("hard",))
-    assert len(hard) == 10
-    assert len({(one.kind, one.hardness) for one in hard}) == 10
-
-
 def test_a_list_from_before_a_setting_existed_is_gone_on_with(copy: Path) -> None:
     whole = document(copy)
     for entry in whole["trajectories"]:
@@ -199,18 +189,6 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("usual")
     film_tiny("none", out)
     return out
-
-
-def test_an_arm_hides_much_more_than_a_rod(usual: Path, tmp_path: Path) -> None:
-    hidden, plain = film_tiny("hidden", tmp_path), np.load(usual / "truth" / "one.npz")
-    (arm, rod), (with_arm, with_rod) = (
-        [truth[name][truth["gripper_closed"]] for truth in (hidden, plain)]
-        for name in ("hidden_by_tool", "positions")
-    )
-    assert arm.mean() > 0.3
-    assert rod.mean() < 0.2
-    assert np.array_equal(with_arm, with_rod)
-    assert hidden["hidden_by_tool"][-1] == 0.0
 
 
 def test_a_calibration_error_is_in_the_recording_alone(usual: Path, tmp_path: Path) -> None:
