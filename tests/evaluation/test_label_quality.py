@@ -60,13 +60,6 @@ def test_what_looks_worse_is_never_expected_to_be_better(model, name):
             assert model.expected_error_m(worse) > model.expected_error_m(one)
 
 
-def test_a_fit_needs_labels_with_errors():
-    with pytest.raises(InvalidConfigError, match="2 labels"):
-        fit_quality(some_evidence(2), np.array([0.01, 0.02]))
-    with pytest.raises(InvalidConfigError, match="positive"):
-        fit_quality(some_evidence(3), np.array([0.01, 0.02, 0.0]))
-
-
 def test_a_model_is_read_as_it_was_written_and_another_file_is_no_model(tmp_path):
     file = tmp_path / "model.json"
     with pytest.raises(InvalidResultError, match="--fit"):

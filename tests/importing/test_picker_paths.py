@@ -95,15 +95,6 @@ def test_finger_joints_need_a_limit(tmp_path):
         import_recording(source, tmp_path / "again", replace(limited, tolerance_s=16.0))
 
 
-def test_a_gripper_on_the_clock_of_another_machine(tmp_path):
-    """Bool has no stamp: the times of writing are brought to the clock of the pictures."""
-    source = bag(tmp_path / "bag", ROS2, log_delay_ns=5_000_000_000)
-    chosen = ImportOptions(picker_topic="/tip", gripper_topic="/gripper")
-    report = import_recording(source, tmp_path / "out", chosen)
-    assert report.actions == [(3, 6)]
-    assert any("-5.000 s" in note for note in report.notes)
-
-
 def test_a_path_that_nothing_ties_to_the_camera(tmp_path):
     entries = [*stream(FILM, ROS2)]
     for k, time in enumerate(FILM.times.tolist()):
@@ -187,17 +178,6 @@ def test_the_clock_of_a_table(clock, tmp_path):
     if clock == "source":
         with pytest.raises(InvalidConfigError, match="--picker-clock"):
             import_recording(source, tmp_path / "other", ImportOptions(picker_csv=file))
-
-
-def test_pickers_that_are_closed_together_share_an_action():
-    times = np.arange(20) * 0.1
-    closed = {"left": (times > 0.25) & (times < 0.95), "right": (times > 0.55) & (times < 1.45)}
-    paths = {name: PickerPath(times, np.zeros((20, 3)), values) for name, values in closed.items()}
-    actions, left_out = actions_of(paths, times.tolist())
-    assert [(one.first_frame, one.last_frame, one.pickers) for one in actions] == [
-        (3, 15, ("left", "right"))
-    ]
-    assert left_out == 0
 
 
 def test_every_closure_is_inside_its_action(rng):

@@ -82,11 +82,6 @@ def test_edges_are_picked_more_often_and_equal_seeds_are_equal():
         np.testing.assert_array_equal(one.place, other.place)
 
 
-def test_nothing_in_reach_gives_no_action():
-    space = ActionSpace(workspace=Workspace(x_m=(1.0, 2.0)))
-    assert sample_actions(SEEN, 10, space, np.random.default_rng(0)) == []
-
-
 def test_no_pick_is_below_the_table_however_noisy_the_cloud_is(rng):
     noisy = SEEN.cloud.copy()
     noisy[:, 2] += rng.normal(scale=0.004, size=len(noisy))

@@ -46,18 +46,6 @@ def test_a_network_that_nobody_has_is_refused_with_those_that_there_are(tmp_path
     assert "choose one of tokens, small, reference" in capsys.readouterr().err
 
 
-def test_the_settings_of_each_network_are_its_own(capsys):
-    assert cli.main(["pretrain", "--show-settings"]) == 0
-    tokens = capsys.readouterr().out
-    assert cli.main(["pretrain", "--show-settings", "--network", "small"]) == 0
-    published = capsys.readouterr().out
-    assert "tokens.high_rate=0.0008" in tokens
-    assert "canonicalisation" not in tokens
-    assert "canonicalisation.epochs=100" in published
-    assert "tokens." not in published
-    assert tokens.count("=") <= 40
-
-
 def test_a_missing_extra_is_named_with_its_remedy(monkeypatch):
     monkeypatch.setattr(learning, "EXTRA", ("torch", "no_such_module"))
     with pytest.raises(InvalidConfigError, match=r"no_such_module.*install with: .*learn"):

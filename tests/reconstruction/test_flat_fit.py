@@ -66,13 +66,6 @@ def test_a_shirt_is_found_whichever_way_it_lies(angle: float) -> None:
     assert np.linalg.norm(mesh.vertices[:, :2] - where, axis=1).max() < 4e-3
 
 
-def test_a_stated_size_is_not_fitted() -> None:
-    cloth = ClothDescription("towel", size_m=(0.30, 0.20))
-    points = laid_out("towel", (0.31, 0.21), 0.4)
-    mesh = flat_fit(recording(cloth), cloud(points)).mesh
-    np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), (0.30, 0.20), rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("cloth", "table", "points", "message"),
     [

@@ -93,12 +93,6 @@ def labeled(recording):
     return label_recording(source, TOWEL, labels, kind="towel", provenance={"mode": "default"})
 
 
-def test_a_frame_that_is_not_there_is_refused(recording):
-    source, states = recording
-    with pytest.raises(InvalidResultError, match="frame 7"):
-        label_recording(source, TOWEL, [PseudoLabel(7, states[0])], kind="towel")
-
-
 @pytest.fixture
 def tracked(recording):
     """The fold, tracked without a fault."""

@@ -56,20 +56,6 @@ def test_points_inside_stay_and_points_outside_come_to_the_nearest_free_pixel(cl
         assert after[2] == before[2]
 
 
-def test_confined_points_stay_where_they_are(cloth, points):
-    once = cloth.confined(points)
-    np.testing.assert_allclose(cloth.confined(once), once, atol=1e-12)
-
-
-def test_no_point_lies_under_the_table_or_over_what_was_seen(cloth, points):
-    inside = points[free_at(cloth, points)]
-    for height_m, expected in [(-0.02, 0.0), (0.004, 0.004), (TOP_M + 0.002, TOP_M)]:
-        confined = cloth.confined(inside * (1.0, 1.0, 0.0) + (0.0, 0.0, height_m))
-        near_rim = ~free_at(cloth, inside * (1.0, 1.0, 0.0) + (0.0, 0.0, height_m))
-        np.testing.assert_allclose(confined[~near_rim, 2], expected, atol=1e-7)
-        np.testing.assert_array_equal(confined[~near_rim, :2], inside[~near_rim, :2])
-
-
 @pytest.fixture(scope="module")
 def picture(flat):
     return above.picture_of(flat.vertices + (0.0, 0.0, 0.003), flat.faces)

@@ -17,7 +17,6 @@ from clothtrack.reconstruction.data.state_store import (
     StateShard,
     open_states,
     read_shard,
-    shard_path,
     write_shard,
     write_states,
 )
@@ -96,24 +95,6 @@ def test_altered_attributes_are_told_and_shards_from_before_are_read(path: Path)
 def test_parts_that_do_not_belong_together_are_refused(changes: dict, told: str) -> None:
     with pytest.raises(InvalidResultError, match=told):
         replace(make(), **changes)
-
-
-def test_a_folder_of_states_is_opened_in_order(tmp_path: Path) -> None:
-    made = write_states(tmp_path / "set", "towel", [make(), make()], {"source": "a test"})
-    found = open_states(tmp_path / "set")
-    assert found.kind == "towel"
-    assert found.shards == made.shards == tuple(shard_path(found.folder, k) for k in range(2))
-    assert found.document["provenance"] == {"source": "a test"}
-    (found.folder / "shards" / ".0002.zarr.abc").mkdir()
-    assert open_states(found.folder).shards == found.shards
-
-
-def test_states_are_not_written_over_others(tmp_path: Path) -> None:
-    write_states(tmp_path, "towel", [make()], {})
-    with pytest.raises(InvalidResultError, match="another folder"):
-        write_states(tmp_path, "towel", [make()], {})
-    with pytest.raises(InvalidResultError, match="tshirt"):
-        write_states(tmp_path / "new", "towel", [make("tshirt")], {})
 
 
 @pytest.mark.parametrize(

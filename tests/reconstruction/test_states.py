@@ -2,10 +2,7 @@
 
 import os
 import shutil
-import signal
 import subprocess
-import sys
-import time
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
@@ -24,8 +21,6 @@ from clothtrack.reconstruction.data import states
 from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
 from clothtrack.reconstruction.data.garment_draws import (
     ClothRanges,
-    GarmentRanges,
-    draw_garment,
 )
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
@@ -145,17 +140,6 @@ def test_thin_cloth_that_lies_flat_is_as_low_as_it_is_thin() -> None:
         assert np.median(shard.positions[..., 2]) == pytest.approx(0.5 * thickness_m, rel=0.05)
 
 
-def test_garments_of_every_cut_are_drawn() -> None:
-    robes = GarmentRanges(robes=1.0, open_robes=1.0)
-    assert np.ptp(draw_garment("tshirt", robes, 300, np.random.default_rng(0)).vertices[:, 1]) > 0.7
-    for kind, low, high in (("towel", 0.2, 2.0), ("tshirt", 0.3, 2.5), ("trousers", 0.2, 1.5)):
-        for number in range(5):
-            mesh = draw_garment(kind, GarmentRanges(), 150, np.random.default_rng(number))
-            width, length = np.ptp(mesh.vertices[:, :2], axis=0)
-            assert low <= max(width, length) <= high
-            assert kind != "towel" or width >= length
-
-
 def test_what_is_not_sound_is_left_out_until_nothing_is_left(tmp_path: Path) -> None:
     strict = replace(CRUMPLING, strain_limit=0.0, folded_strain_limit=0.0)
     exploding = replace(TINY, crumpling=strict)
@@ -201,38 +185,6 @@ def test_held_cloth_hangs_in_the_air_and_falls_when_it_is_let_go() -> None:
         heights.append(held.positions[top, 2])
         assert released.positions[top, 2] < 0.6 * held.positions[top, 2] + 0.03
     assert max(heights) > 0.2
-
-
-@pytest.mark.slow
-def test_an_interrupt_leaves_nothing_half_written_and_can_go_on(tmp_path: Path) -> None:
-    out, script = tmp_path / "states", tmp_path / "script.py"
-    words = ["simulate", str(out), "--states", "400", "--workers", "2",
-             "--set", "vertex_count=120", "--set", "episodes=2"]  # fmt: skip
-    # Whatever was started in the background of a shell ignores interrupts, and so do its children.
-    script.write_text(
-        "import signal\n"
-        "from clothtrack.cli.command_line import main\n"
-        "if __name__ == '__main__':\n"
-        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        f"    raise SystemExit(main({words!r}))\n"
-    )
-    with subprocess.Popen([sys.executable, str(script)], stderr=subprocess.PIPE, text=True) as run:
-        try:
-            while not list(out.glob("shards/[0-9]*.zarr")):
-                assert run.poll() is None, run.stderr.read()
-                time.sleep(0.05)
-            run.send_signal(signal.SIGINT)
-            _, told = run.communicate(timeout=100)
-        finally:
-            run.kill()
-    assert run.returncode == 130
-    assert "interrupted" in told
-    assert "Traceback" not in told
-    found = open_states(out)
-    assert 1 <= len(found.shards) < 40
-    assert not leftovers(out)
-    for path in found.shards:
-        read_shard(path)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.reconstruction.training.batches import BatchOrder, split_by_group
+from clothtrack.reconstruction.training.batches import BatchOrder
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights, save_progress
 from clothtrack.reconstruction.training.processes import Processes, require_torch_device
 from clothtrack.reconstruction.training.training_config import TrainingConfig
@@ -169,18 +169,6 @@ def test_training_that_helps_nothing_changes_nothing(line, tmp_path):
     assert outcome.best_step == 0
     kept = load_weights(outcome.weights).tensors
     assert_same_bits(kept, line.LineStage().trained.state_dict())
-
-
-def test_groups_are_not_parted():
-    groups = [f"trajectory {number // 4}" for number in range(80)]
-    training, held_out = split_by_group(groups, 0.1, seed=2)
-    assert len(held_out) == 8
-    assert len(training) + len(held_out) == 80
-    assert not {groups[k] for k in training} & {groups[k] for k in held_out}
-    np.testing.assert_array_equal(held_out, split_by_group(groups, 0.1, seed=2)[1])
-    assert any(set(split_by_group(groups, 0.1, seed=k)[1]) != set(held_out) for k in range(3, 8))
-    with pytest.raises(InvalidConfigError, match="two or more"):
-        split_by_group(["one"] * 5, 0.1, seed=0)
 
 
 def test_an_epoch_shows_everything_once_and_an_order_begun_later_is_its_rest():

@@ -150,21 +150,6 @@ def test_a_rectangle_is_a_towel_and_another_outline_keeps_its_shape():
     assert np.array_equal(angled.mesh.canonical, angled.mesh.vertices)
 
 
-def test_the_mesh_has_two_layers_that_are_each_others_mirror_image_in_outline():
-    drawn = Drawn([ShirtOutline().spans(0.6, depth=0.03)], np.random.default_rng(1))
-    template = make_template(drawn.outline(), "tshirt", vertex_count=800)
-    mesh = template.mesh
-    front, back = mesh.canonical[:, 2] > 1e-6, mesh.canonical[:, 2] < -1e-6
-    assert 0.7 < front.sum() / back.sum() < 1.4
-    sewn = ~front & ~back
-    mirrored = mesh.vertices[sewn] * (-1, 1, 1)
-    apart = np.linalg.norm(mirrored[:, None] - mesh.vertices[sewn][None], axis=2).min(axis=1)
-    assert apart.max() < 0.012
-    # Neck towards +y: the sleeves are above the middle.
-    widest = mesh.vertices[np.abs(mesh.vertices[:, 0]).argmax()]
-    assert widest[1] > 0.0
-
-
 def test_ends_that_a_person_points_at_are_taken():
     cut = ShirtOutline()
     layers = [cut.spans(0.6, depth=0.03 * 0.6)]

@@ -21,7 +21,7 @@ from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
 from clothtrack.tracking.tracker import Tracker
-from clothtrack.tracking.visible_alignment import no_alignment, only_at
+from clothtrack.tracking.visible_alignment import no_alignment
 
 
 def drift(meters: float) -> Theta:
@@ -189,17 +189,6 @@ ONE_CANDIDATE = RunConfig(search=SearchConfig(method="none"))
 
 def tracker(recording: Recording) -> Tracker:
     return Tracker(recording, recording.cloth.template, ONE_CANDIDATE, partial(observe, recording))
-
-
-def test_an_ablation_is_a_function_that_is_exchanged(recording):
-    """An aligner that never corrects, handed in, leaves the dynamics alone inside an action."""
-    mine, ablation = tracker(recording), tracker(recording)
-    mine.method = replace(mine.method, align=lambda predicted, observation: None)
-    seen = only_at({recording.actions[0].last_frame}, partial(observe, recording), recording)
-    ablation.method = replace(ablation.method, align=no_alignment, observe=seen)
-    alone = mine.track().positions
-    np.testing.assert_array_equal(alone, ablation.track().positions)
-    assert not np.array_equal(alone, tracker(recording).track().positions)
 
 
 def test_a_mesh_at_rest_stays_and_is_compared_with_the_frame_that_it_was_moved_into(

@@ -36,11 +36,6 @@ def test_candidates_that_fit_alike_weigh_alike_and_bad_ones_nothing():
     np.testing.assert_allclose(mean_end(ends[:2], [0.0, 0.0]), 0.5)
 
 
-@pytest.mark.parametrize("scores", [[], [0.1], [0.1, np.inf]])
-def test_one_candidate_has_no_mean(scores):
-    assert mean_end([np.zeros((4, 3))] * len(scores), scores).shape == (0, 3)
-
-
 def tracked(recording, state) -> TrackedCandidate:
     """A candidate that ends with this state."""
     candidate = Candidate(RunConfig().cloth.theta(), HeldCloth((), np.zeros(3)))

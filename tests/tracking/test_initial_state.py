@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction import availability
 from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.recording import Recording, Table
+from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
@@ -164,28 +164,6 @@ def test_what_is_missing_is_named(seen, none_shipped, change, config, told):
     towels, cloud = seen
     with pytest.raises((InvalidRecordingError, InvalidConfigError), match=told):
         find_initial_state(with_cloth(towels, **change), cloud, replace(FEW, **config))
-
-
-def test_a_table_or_depth_that_the_network_cannot_use(towels, cloud, weights, caplog):
-    tilted = Table(towels.table.point, np.array([0.0, 0.5, 0.866]))
-    asked = replace(FEW, weights=str(weights))
-    with pytest.raises(InvalidRecordingError, match="tilts by 30 degrees"):
-        find_initial_state(replace(towels, table=tilted), cloud, asked)
-    with pytest.raises(InvalidRecordingError, match="has no table"):
-        find_initial_state(replace(towels, table=None), cloud, asked)
-    bare = replace(towels.frames[0], depth={})
-    blind = replace(towels, frames=(bare, *towels.frames[1:]))
-    with pytest.raises(InvalidRecordingError, match="neither a depth picture nor a cloud"):
-        find_initial_state(blind, cloud, asked)
-
-
-def test_weights_that_are_named_are_not_passed_over(towels, cloud, tmp_path):
-    with pytest.raises(InvalidResultError, match="no such weights file"):
-        find_initial_state(towels, cloud, replace(FEW, weights=str(tmp_path / "none.safetensors")))
-    broken = tmp_path / "broken.safetensors"
-    broken.write_bytes(b"nothing")
-    with pytest.raises(InvalidResultError, match="not a whole"):
-        find_initial_state(towels, cloud, replace(FEW, weights=str(broken)))
 
 
 def test_a_missing_extra_is_named_or_passed_over(seen, none_shipped, weights, monkeypatch, caplog):

@@ -74,16 +74,6 @@ def test_descent_leaves_a_candidate_only_for_a_clearly_better_one(share, frictio
     assert chosen == (friction,)
 
 
-def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
-    config = SearchConfig()
-    assert config.with_grasp_offset(0.0) is config
-    wider = config.with_grasp_offset(0.02)
-    assert wider.axes["grasp_offset_z_m"] == pytest.approx((-0.02, -0.01, 0.0, 0.01, 0.02))
-    assert next(iter(wider.axes)) == "grasp_offset_z_m"
-    none = SearchConfig(method="none")
-    assert none.with_grasp_offset(0.02) is none
-
-
 def test_unknown_and_empty_axes_are_refused() -> None:
     with pytest.raises(InvalidConfigError, match="table_friction"):
         SearchConfig(axes={"stickiness": (1.0,)})

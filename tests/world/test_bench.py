@@ -15,7 +15,7 @@ from clothtrack.files.atomic_write import hidden_name
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack_lab.world import bench_generation
-from clothtrack_lab.world.bench import BenchTrajectory, hardened, trajectories, vary
+from clothtrack_lab.world.bench import BenchTrajectory, trajectories
 from clothtrack_lab.world.bench_generation import checksum, generate_bench, verify_bench
 from clothtrack_lab.world.episodes import TemplateConfig
 
@@ -75,29 +75,6 @@ def test_no_seed_is_used_twice_even_by_a_replacement() -> None:
         assert len(seeds) == len(set(seeds))
     names = [one.name for one in trajectories()]
     assert len(names) == len(set(names))
-
-
-def test_hardness_changes_only_what_it_names() -> None:
-    plain = vary("tshirt", 3000)
-    assert hardened(plain, "none") == plain
-    assert replace(hardened(plain, "calibration"), calibration_error_m=0.0) == plain
-    assert replace(hardened(plain, "missing"), sensor=plain.sensor) == plain
-    assert replace(hardened(plain, "middle"), action=plain.action) == plain
-    assert replace(hardened(plain, "folded"), action=plain.action) == plain
-    hidden = hardened(plain, "hidden")
-    assert replace(hidden, tool=plain.tool, reach_across=False) == plain
-
-
-def test_the_list_tells_all_that_varied(made: Path) -> None:
-    first, second = document(made)["trajectories"]
-    assert [first["name"], second["name"]] == ["towel_dev_00", "towel_dev_01"]
-    assert first["varied"]["fabric"] != second["varied"]["fabric"]
-    assert first["seed"] == 1000
-    truth = np.load(made / "truth" / "towel_dev_00.npz")
-    assert json.loads(str(truth["fabric"])) == first["varied"]["fabric"]
-    assert first["measured"]["frames"] == len(truth["frames"])
-    for name in ("hidden_by_tool", "depth_missing", "outside_picture", "gripper_closed"):
-        assert len(truth[name]) == len(truth["frames"])
 
 
 @pytest.mark.slow

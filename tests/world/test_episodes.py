@@ -15,7 +15,7 @@ from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.pick_and_place import ActionConfig
-from clothtrack_lab.world.episodes import PICKER, SMALL_WORLD, TemplateConfig
+from clothtrack_lab.world.episodes import SMALL_WORLD, TemplateConfig
 from clothtrack_lab.world.filming import simulate
 
 TINY = replace(
@@ -58,32 +58,6 @@ def test_a_print_changes_nothing_but_the_color_pictures(out: Path, tmp_path: Pat
         assert same == ("color" not in each.parts), each
     truths = [(each / "truth" / "towel_0003.npz").read_bytes() for each in (out, tmp_path)]
     assert truths[0] == truths[1]
-
-
-def test_truth_matches_the_frames_and_shows_an_action(out: Path) -> None:
-    recording = read_recording(out / "recordings" / "towel_0003")
-    truth = np.load(out / "truth" / "towel_0003.npz")
-    positions = truth["positions"]
-    assert positions.dtype == np.float32
-    assert positions.shape == (len(recording.frames), len(truth["canonical"]), 3)
-    assert np.array_equal(truth["frames"], np.arange(len(positions)))
-    assert json.loads(str(truth["fabric"]))["young_pa"] > 0
-    assert np.linalg.norm(positions[-1] - positions[0], axis=1).max() > 0.03
-    assert np.linalg.norm(positions[-1] - positions[-2], axis=1).max() < 0.002
-
-
-def test_picker_path_is_near_the_moved_cloth_while_closed(out: Path) -> None:
-    recording = read_recording(out / "recordings" / "towel_0003")
-    positions = np.load(out / "truth" / "towel_0003.npz")["positions"]
-    path = recording.picker_paths[PICKER]
-    closed = np.flatnonzero(path.closed)
-    assert len(closed) > 5
-    assert (np.diff(closed) == 1).all()
-    gaps = [
-        np.linalg.norm(positions[frame] - path.positions[frame], axis=1).min() for frame in closed
-    ]
-    assert max(gaps) < 0.01
-    assert np.linalg.norm(path.positions[-1] - path.positions[closed[-1]]) > 0.2
 
 
 def test_a_garment_of_its_own_template_is_filmed(tmp_path: Path) -> None:
