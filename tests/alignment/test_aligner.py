@@ -205,25 +205,6 @@ def test_a_shifted_cloth_seen_completely_is_put_back():
         assert result.losses[-1] < 1e-3 * result.losses[0]
 
 
-def test_the_length_term_keeps_the_rest_lengths():
-    mesh = sheet()
-    visible = np.ones(mesh.vertex_count, bool)
-    stretched = 1.1 * mesh.vertices
-    strains = []
-    for weight in (0.0, 300.0, 30000.0):
-        config = replace(PAPER, length_weight=weight)
-        found = (
-            mesh.vertices
-            + CloudAligner(mesh, config).align(mesh.vertices, stretched, visible).corrections
-        )
-        ends = found[mesh.edges]
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        strains.append(np.abs(lengths / mesh.edge_lengths - 1).mean())
-    assert strains[0] > 0.03
-    assert strains[1] < 0.3 * strains[0]
-    assert strains[2] < strains[1]
-
-
 @pytest.mark.parametrize("solver", ["adam", "icp"])
 def test_only_marks_see_a_sheet_slide_along_itself(solver):
     """A sheet longer than the picture slides by 6 mm: followed points show it, depth does not."""

@@ -27,7 +27,7 @@ def on_device(values):
     return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3, device="cpu")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("step", [1e-4, 1e-3, 2e-2])
 def test_matches_are_exact_in_every_iteration(seed, step):
     rng = np.random.default_rng(seed)

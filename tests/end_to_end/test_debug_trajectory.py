@@ -86,15 +86,6 @@ def test_meshes_are_exported(results, tmp_path):
     assert len(list((tmp_path / "obj").glob("frame_*.obj"))) == len(tracked.frames)
 
 
-def test_a_finished_result_of_other_settings_is_not_taken_for_ours(towels, results, capsys):
-    folder = towels / "recordings" / NAMES[0]
-    words = ["track", str(folder), "--output", str(results / "default")]
-    assert cli.main([*words, "--set", "cloth.thickness_m=0.002"]) == 1
-    told = capsys.readouterr().err
-    assert "other settings" in told
-    assert told.count("\n") == 1
-
-
 @pytest.mark.slow
 def test_the_demo_tracks_what_is_shipped(tmp_path, capsys):
     name = shipped_recording().name

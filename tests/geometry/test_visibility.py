@@ -110,16 +110,6 @@ def test_a_closed_grid_has_no_holes_even_with_pixel_centers_on_its_edges():
     np.testing.assert_allclose(seen.depth, 1.0, rtol=1e-6)
 
 
-def test_pixel_centers_are_at_integers():
-    view = camera(width=9, height=7, focal=10.0)
-    for row, column in [(0, 0), (3, 8), (6, 4)]:
-        x, y = (column - view.cx) / view.fx, (row - view.cy) / view.fy
-        local = np.array([[x - 0.03, y - 0.03, 1], [x + 0.03, y - 0.03, 1], [x, y + 0.04, 1]])
-        vertices = local @ view.world_from_camera[:3, :3].T + view.position
-        seen = Rasterizer(np.array([[0, 1, 2]]), view).render(vertices)
-        assert np.argwhere(seen.faces == 0).tolist() == [[row, column]]
-
-
 def test_upper_layer_hides_the_lower_one_and_the_last_face_is_not_always_visible():
     lower, faces = grid(12, 0.4)
     upper, _ = grid(12, 0.4, height=0.01)
@@ -144,14 +134,3 @@ def test_thin_layers_need_a_tolerance_below_their_distance():
     column = np.isclose(lower[:, 0], -0.15)  # under the upper layer, but their faces peep out
     assert not check[0][len(upper) :][column].any()
     assert check[1][len(upper) :][column].any()
-
-
-def test_vertices_outside_the_image_are_not_visible():
-    vertices, faces = grid(30, 2.0)
-    view = camera(64, 48, 60.0)
-    pixels, _ = view.project(vertices)
-    outside = ((pixels < -0.5) | (pixels >= [63.5, 47.5])).any(1)
-    seen = visible_vertices(vertices, faces, [view], tolerance_m=0.01)
-    assert outside.any()
-    assert not seen[outside].any()
-    assert seen[~outside].all()

@@ -102,10 +102,3 @@ def test_a_path_and_the_table_share_one_world(source, tmp_path, capsys):
     assert recording.table.point.tolist() == table["point"]
     assert recording.table.normal.tolist() == table["normal"]
     assert recording.cameras[0].world_from_camera.tolist() == pose
-
-
-def test_an_existing_recording_is_not_touched(source, tmp_path, capsys):
-    (tmp_path / "out").mkdir()
-    assert cli.main(["import", str(source), str(tmp_path / "out")]) == 1
-    assert "exists" in capsys.readouterr().err
-    assert not list((tmp_path / "out").iterdir())

@@ -9,7 +9,7 @@ import pytest
 from import_makers import OPTICAL, START_NS, Film, Messages, stream, write_ros1, write_ros2
 from scipy.spatial.transform import Rotation
 
-from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.recordings.recording import PickerPath, actions_of
 from clothtrack.recordings.store import read_recording
 from clothtrack_capture.importing.import_options import ImportOptions
@@ -216,14 +216,6 @@ def test_transforms_against_products(rng):
     assert np.array_equal(tree.moments("c", "b"), times)
     assert tree.connects("/c", "b")
     assert not tree.connects("c", "elsewhere")
-
-
-@pytest.mark.parametrize("content", ["[]", "[[1,0,0,0],[0,1,0,0],[0,0,2,0],[0,0,0,1]]", "{"])
-def test_a_wrong_pose_file_is_named(content, tmp_path):
-    source = write_ros2(tmp_path / "bag", stream(FILM, ROS2), ROS2)
-    file = table(tmp_path / "pose.json", content)
-    with pytest.raises(ClothTrackError, match=r"pose\.json"):
-        import_recording(source, tmp_path / "out", ImportOptions(world_from_camera=file))
 
 
 def test_actions_told_by_hand(tmp_path):

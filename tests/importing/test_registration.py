@@ -30,13 +30,6 @@ def shifted(x=0.0, y=0.0, z=0.0, turn=(0.0, 0.0, 0.0)):
     return pose
 
 
-def test_the_same_camera_changes_nothing(rng):
-    counts = rng.integers(0, 65536, (36, 48)).astype(np.uint16)
-    registration = registered(DEPTH, np.eye(4))
-    assert not registration.carried
-    assert registration.depth(counts) is counts
-
-
 def test_a_plane_moves_by_its_disparity():
     """A plane at 1 m and a camera 10 cm to the left: fx * b / z = 4 pixels."""
     counts = np.full((36, 48), 1000, dtype=np.uint16)

@@ -16,8 +16,6 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
 )
 from clothtrack_lab.graph_dynamics.mesh_prior import (
     contacts,
-    dragged,
-    tethered,
 )
 
 CONFIG = MeshNetworkConfig(width=16, message_steps=2)
@@ -101,30 +99,3 @@ def test_a_held_corner_draws_the_cloth_along_and_stretches_it_little():
         strain[projections] = float((gap / springs.rest - 1.0).clamp_min(0.0).max())
     assert strain[0] > 1.0
     assert strain[10] < 0.1 * strain[0]
-
-
-def test_what_lies_on_the_held_cloth_is_drawn_along():
-    """A layer on the held one, joined by no edge, goes with it; one beside them stays."""
-    before = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.01], [0.5, 0.0, 0.0]]])
-    held = torch.tensor([[True, False, False]])
-    after = before + torch.tensor([0.03, 0.0, 0.0]) * held[..., None]
-    near = contacts(before, CONFIG.collision_radius_m)
-    once = dragged(before, after, near, held, times=1) - before
-    np.testing.assert_allclose(once[0, :, 0], [0.03, 0.015, 0.0], atol=1e-7)
-    often = dragged(before, after, near, held, times=20) - before
-    np.testing.assert_allclose(often[0, :, 0], [0.03, 0.03, 0.0], atol=1e-5)
-
-
-def test_a_tether_is_as_long_as_the_cloth_between():
-    positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None].repeat(2, 1, 1)
-    springs = springs_of(FLAT)
-    held = torch.zeros(positions.shape[:2], dtype=torch.bool)
-    held[0, 0] = True
-    positions[:, 0] += torch.tensor([0.0, 0.0, 0.5])
-    after = tethered(positions, held, springs)
-    apart = (after[0] - after[0, 0]).norm(dim=-1)
-    assert (apart <= springs.along[0] + 1e-6).all()
-    assert float(apart.max()) > 0.15
-    torch.testing.assert_close(after[0, 0], positions[0, 0])
-    # Nobody holds the other cloth.
-    torch.testing.assert_close(after[1], positions[1])

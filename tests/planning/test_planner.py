@@ -86,14 +86,6 @@ def test_a_strip_is_no_gain():
         PlannerConfig(strip_m=-1.0)
 
 
-def test_where_everything_makes_it_worse_the_best_of_that_is_done():
-    """The mesh must be wrong: an episode goes on only while the cloth is not flat."""
-    decision = decide(GrowTowards([0.1, 0.1], strength=-0.5))
-    assert (decision.gains_m2 < 0.0).all()
-    assert decision.gain_m2 == decision.gains_m2.max()
-    assert decision.action is decision.candidates[0]
-
-
 def test_a_cloth_that_bursts_is_never_chosen():
     class Burst(GrowTowards):
         def predict(self, cloth, actions):

@@ -45,16 +45,6 @@ def test_a_hole_of_one_pixel_is_closed_and_a_large_one_stays():
     assert not gap.any()
 
 
-def test_a_blot_apart_is_dropped_and_a_large_part_stays():
-    sheet = plane(0.0)
-    blot, part = plane(0.0, corner=(1.4, -2.0), side_m=0.05), plane(0.0, corner=(0.6, -2.0))
-    depth, mask, camera = cloud_picture(np.concatenate([sheet, blot, part]))
-    seen = camera.back_project(depth, mask)
-    assert seen[:, 0].max() < 1.25
-    assert seen[:, 0].min() < 0.65
-    assert (depth[~mask] == 0).all()
-
-
 def test_too_few_points_are_no_cloth():
     with pytest.raises(InvalidRecordingError, match="a cloud of 15 points shows no cloth"):
         cloud_picture(plane(0.0)[: LEAST_POINTS - 1])

@@ -84,18 +84,6 @@ def test_noise_steps_and_holes_leave_the_table_where_it_is(tilt_deg, tmp_path):
     assert seen.camera.position[2] == pytest.approx(view.position[2], abs=0.001)
 
 
-def test_the_principal_point_is_the_one_that_is_named(tmp_path):
-    point = (140.0, 130.0)
-    view = camera(10.0, principal_point=point)
-    depth, cloth = picture(view)
-    mask = mask_file(tmp_path, cloth)
-    seen = from_depth(depth, "it", mask=mask, focal=FOCAL, principal_point=point)
-    assert tilt_between(seen.camera, view) < 1e-3
-    assert (seen.camera.cx, seen.camera.cy) == point
-    assumed = from_depth(depth, "it", mask=mask, focal=FOCAL)
-    assert tilt_between(assumed.camera, view) > 0.1
-
-
 def test_without_a_table_the_camera_is_assumed_to_look_straight_down(tmp_path):
     depth, cloth = picture(camera(10.0))
     named = from_depth(depth, "it", focal=FOCAL, table_distance_m=0.95)

@@ -119,14 +119,6 @@ def test_the_size_that_explains_best_is_found(scored, case):
     assert len(search.tries) < 40
 
 
-def test_a_towel_is_never_longer_than_wide(scored):
-    """Which side is the width is convention: beyond a square its sides would change their names."""
-    search = scored(lambda garment, _: garment.size_m[0] / garment.size_m[1] + 1.0)
-    found = search.unknown("towel")
-    assert found.size_m[0] == pytest.approx(found.size_m[1])
-    assert all(one.choice.size_m[1] <= one.choice.size_m[0] * (1.0 + 1e-6) for one in search.tries)
-
-
 @pytest.fixture(scope="module")
 def shipped():
     assert shipped_weights() is not None

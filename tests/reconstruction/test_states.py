@@ -19,9 +19,6 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data import states
 from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
-from clothtrack.reconstruction.data.garment_draws import (
-    ClothRanges,
-)
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
 from clothtrack.reconstruction.data.states import (
@@ -129,15 +126,6 @@ def test_states_of_another_kind_are_not_mixed_in(copy: Path) -> None:
     with pytest.raises(InvalidConfigError, match=r"states\.json"):
         generate_states(copy, "towel", 8, seed=3, config=TINY)
     assert bytes_of(copy) == before
-
-
-def test_thin_cloth_that_lies_flat_is_as_low_as_it_is_thin() -> None:
-    for thickness_m in (0.0006, 0.004):
-        cloth = ClothRanges(thickness_m=(thickness_m, thickness_m))
-        flat = replace(CRUMPLING, states=1, shares={"flat": 1.0}, wrinkled=0.0)
-        config = StatesConfig(vertex_count=150, episodes=2, cloth=cloth, crumpling=flat)
-        shard = make_shard("towel", 0, 2, config)
-        assert np.median(shard.positions[..., 2]) == pytest.approx(0.5 * thickness_m, rel=0.05)
 
 
 def test_what_is_not_sound_is_left_out_until_nothing_is_left(tmp_path: Path) -> None:

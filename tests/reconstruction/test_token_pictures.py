@@ -90,17 +90,6 @@ def test_names_places_and_pictures_say_the_same(states):
         assert len(getattr(batch, one.name)) == 48
 
 
-def test_a_batch_is_a_function_of_states_seed_and_step(states):
-    pictures = TokenPictures(states, NETWORK, seed=3)
-    chosen = torch.tensor([5, 40, 20])
-    first, again, other = (pictures.batch(chosen, step) for step in ((7, 1), (7, 1), (7, 2)))
-    for one in fields(TokenBatch):
-        assert torch.equal(getattr(first, one.name), getattr(again, one.name)), one.name
-    assert not torch.equal(first.height, other.height)
-    reseeded = TokenPictures(states, NETWORK, seed=4).batch(chosen, (7, 1))
-    assert not torch.equal(first.height, reseeded.height)
-
-
 def summary(batch):
     """Per picture: cloth's share, height, its curvature and slope, holes, distance, places."""
     shown = batch.height > 0.5 * EMPTY

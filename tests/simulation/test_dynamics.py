@@ -22,14 +22,6 @@ def attachment(targets, strength):
     return Attachment(targets[None], np.full((1, MESH.vertex_count), strength))
 
 
-def test_each_environment_follows_its_own_way():
-    solver = ClothSolver(MESH, SolverConfig(), environments=2)
-    corner = MESH.vertices[0]
-    ways = np.stack([np.stack([corner, corner + height * UP])[:, None] for height in (0.01, 0.02)])
-    result = ClothDynamics(solver).roll_out(solver.save(), HeldMotion(CORNER, ways), 0.1)
-    np.testing.assert_allclose(result.positions[:, 0], ways[:, -1, 0], atol=1e-6)
-
-
 def test_a_hard_pseudo_action_places_every_vertex(dynamics):
     targets = MESH.vertices + 0.02 * UP
     result = dynamics.roll_out(dynamics.solver.save(), None, 0.12, attachment(targets, 1.0))
@@ -56,18 +48,6 @@ def test_a_soft_pull_closes_its_share_in_any_number_of_steps(duration_s):
     result = dynamics.roll_out(dynamics.solver.save(), None, duration_s, pull)
     moved = result.positions[0] - MESH.vertices
     np.testing.assert_allclose(moved[:, 2], 0.008, rtol=0.02)
-
-
-def test_the_picker_goes_before_the_pseudo_action(dynamics):
-    corner = MESH.vertices[0]
-    way = np.stack([corner, corner + 0.01 * UP])[:, None]
-    result = dynamics.roll_out(
-        dynamics.solver.save(),
-        HeldMotion(CORNER, way),
-        0.05,
-        attachment(MESH.vertices, 0.5),
-    )
-    np.testing.assert_allclose(result.positions[0, 0], way[-1, 0], atol=1e-6)
 
 
 def test_a_coarse_prediction_is_the_roll_out_with_longer_substeps():

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.garments.garment_meshes import tshirt
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
@@ -52,43 +51,6 @@ def test_ridges_stop_each_other_and_keep_their_momentum():
     masses = solver._buffers.masses.numpy()
     momentum = masses @ solver.velocities[0]
     np.testing.assert_allclose(momentum, [0, 0, -0.5 * masses[4:].sum()], atol=2e-3 * masses.sum())
-
-
-def test_every_bent_edge_at_an_edge_is_listed_with_it():
-    mesh = tshirt(0.15, 0.13, 0.012)
-    solver = ClothSolver(mesh)
-    solver.step(1e-3)
-    noise = np.random.default_rng(0).normal(scale=0.002, size=mesh.vertices.shape)
-    solver.place(mesh.vertices * (0.9, 0.9, 0.5) + noise)
-    edges = solver._contact._edges
-    edges.find()
-    assert not solver.contact_overflows.any()
-    placed = solver.positions[0].astype(np.float64)
-    start, along = placed[mesh.edges[:, 0]], np.diff(placed[mesh.edges], axis=1)[:, 0]
-    normal = np.cross(along[:, None], along)
-    square = (normal**2).sum(axis=2)
-    between = start - start[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = (np.cross(between, along) * normal).sum(axis=2) / square
-        t = (np.cross(between, along[:, None]) * normal).sum(axis=2) / square
-        gap = np.abs((between * normal).sum(axis=2)) / np.sqrt(square)
-    lengths = (along**2).sum(axis=1)
-    a, b, c = placed[mesh.faces].swapaxes(0, 1)
-    unit = np.cross(b - a, c - a)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    beside = edges._sides.numpy()
-    bent = (beside[:, 1] < 0) | ((unit[beside[:, 0]] * unit[beside[:, 1]]).sum(axis=1) < 0.939)
-    near = (np.minimum(s, t) > 1e-4) & (np.maximum(s, t) < 1.0 - 1e-4)
-    near &= (square > 0.00251 * lengths[:, None] * lengths) & (bent[:, None] | bent)
-    near &= gap < 0.7 * solver.config.thickness_m - 1e-6
-    near &= (mesh.edges[:, None, :, None] != mesh.edges[:, None]).all(axis=(2, 3))
-    assert near.sum() > 100
-    partners, counts = edges._partners.numpy()[0], edges._counts.numpy()[0]
-    filled = np.arange(partners.shape[1]) < counts[:, None]
-    found = np.zeros(near.shape, bool)
-    found[np.nonzero(filled)[0], np.abs(partners[filled]) - 1] = True
-    assert not (found & found.T).any()
-    assert not (near & ~(found | found.T)).any()
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.7])

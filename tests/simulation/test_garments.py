@@ -12,7 +12,6 @@ from clothtrack.garments.outlines import (
     draw_robe,
     draw_shirt,
     draw_sweater,
-    with_hood,
 )
 from clothtrack.geometry.mesh import ClothMesh
 
@@ -74,24 +73,6 @@ def test_an_open_front_joins_hem_and_neck(
     middle = opened.vertices[np.abs(opened.vertices[:, 0]) < 1e-9]
     assert (middle[:, 2] > 0.0).sum() >= 10
     assert smallest_angle_deg(opened) > 15.0
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_hood_is_a_bag_whose_mouth_is_at_the_neck(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    outline = with_hood(draw_sweater(rng), rng)
-    hooded = shirt(outline, 0.7, vertex_count=900, seed=seed)
-    opened = shirt(outline, 0.7, vertex_count=900, open_front=True, seed=seed)
-    assert components(hooded) == 1
-    # Hem, two cuffs, and the face with the front's neckline.
-    assert boundary_loops(hooded.faces) == 4
-    assert boundary_loops(opened.faces) == 3
-    assert euler_characteristic(hooded) == 2 - 4
-    assert smallest_angle_deg(hooded) > 15.0
-    assert hooded.vertices[:, 1].max() == pytest.approx(0.7 * (0.5 + outline.hood), rel=0.01)
-    behind_the_neck = hooded.vertices[hooded.vertices[:, 1] > 0.36]
-    assert np.ptp(behind_the_neck[:, 0]) == pytest.approx(1.4 * outline.hood_width, rel=0.03)
-    assert behind_the_neck[:, 2].max() > 0.0 > behind_the_neck[:, 2].min()
 
 
 @pytest.mark.parametrize("seed", range(2))

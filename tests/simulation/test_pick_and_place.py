@@ -84,17 +84,3 @@ def test_picks_of_a_fold_take_all_its_layers_inwards(seed: int) -> None:
     way = plan.place[:2] - plan.pick[:2]
     inward = middle - plan.pick[:2]
     assert way @ inward > 0.7 * np.linalg.norm(way) * np.linalg.norm(inward)
-
-
-def test_a_stack_may_be_laid_down_by_its_lowest_layer() -> None:
-    cloth = folded_over(towel(0.3, 0.3, 0.015))
-    tip, stack = (
-        plan_action(
-            cloth,
-            replace(CONFIG, picks="folded", clear_held=clear),
-            np.random.default_rng(0),
-        )
-        for clear in (False, True)
-    )
-    assert np.array_equal(tip.held, stack.held)
-    assert stack.place[2] - tip.place[2] == pytest.approx(0.004)

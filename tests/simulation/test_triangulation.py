@@ -5,7 +5,6 @@ import pytest
 
 from clothtrack.garments.triangulation import (
     Span,
-    inside,
     triangulate,
 )
 
@@ -18,13 +17,6 @@ def spans_of(polygon: np.ndarray, sewn: list[bool]) -> list[Span]:
     return [
         Span(np.array(pair), sewn=flag) for *pair, flag in zip(polygon, ends, sewn, strict=True)
     ]
-
-
-def test_inside_of_an_l_shape() -> None:
-    points = np.random.default_rng(0).uniform(-0.05, 0.35, (2000, 2))
-    x, y = points.T
-    truth = (x > 0) & (y > 0) & (((x < 0.3) & (y < 0.1)) | ((x < 0.1) & (y < 0.3)))
-    assert np.array_equal(inside(points, L_SHAPE), truth)
 
 
 @pytest.mark.parametrize("seed", range(4))

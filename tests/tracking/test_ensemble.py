@@ -10,7 +10,6 @@ from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.ensemble import (
     SCORE_SCALE,
     MeanOfCandidates,
-    best_candidate,
     ensemble_spread,
     mean_end,
 )
@@ -57,12 +56,3 @@ def test_the_cloth_is_rolled_to_the_mean_however_near_it_is(recording, shift_m):
     off = np.linalg.norm(moved.positions[0] - before.positions[0] - shift, axis=1)
     assert off.max() < 0.1 * shift_m
     assert not moved.velocities.any()
-
-
-def test_one_candidate_is_left_as_it_is(recording):
-    solver = ClothSolver(recording.cloth.template, SolverConfig())
-    state = solver.save()
-    move = MeanOfCandidates(ClothDynamics(solver), "towel")
-    best = tracked(recording, state)
-    assert move(best, [state.positions[0]], [0.1]) is state
-    assert best_candidate(best, [state.positions[0]] * 2, [0.1, 0.1]) is state

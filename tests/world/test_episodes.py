@@ -11,7 +11,6 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import trousers
 from clothtrack.garments.outlines import TrousersOutline
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.pick_and_place import ActionConfig
@@ -75,18 +74,6 @@ def test_a_garment_of_its_own_template_is_filmed(tmp_path: Path) -> None:
     assert np.linalg.norm(truth[0] - cloth.template.vertices, axis=1).mean() < 0.01
     with pytest.raises(InvalidConfigError, match="two layers, and the garment is 'towel'"):
         simulate(tmp_path, "towel", 1, config=own)
-
-
-def test_last_frame_shows_what_the_truth_says(out: Path) -> None:
-    recording = read_recording(out / "recordings" / "towel_0003")
-    positions = np.load(out / "truth" / "towel_0003.npz")["positions"][-1]
-    (camera,) = recording.cameras
-    depth = read_depth(recording.frames[-1].depth[camera.name], 0.0005)
-    pixels, true_depth = camera.project(positions.astype(float))
-    columns, rows = np.round(pixels).astype(int).T
-    seen = depth[rows, columns]
-    error = (seen - true_depth)[seen > 0]
-    assert np.median(np.abs(error)) < 0.003
 
 
 def test_nothing_of_the_truth_is_in_the_recording(out: Path) -> None:

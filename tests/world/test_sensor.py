@@ -32,15 +32,6 @@ def test_perfect_depth_is_the_analytic_plane() -> None:
     assert np.abs(heights[cloth] - 0.05).max() < 1e-5
 
 
-def test_view_knows_the_material_under_each_pixel() -> None:
-    config = SensorConfig.perfect(**SMALL)
-    scene, vertices = make_scene(config)
-    view = scene.view(vertices, None)
-    cloth = view.label == CLOTH
-    points = scene.camera.back_project(view.depth, cloth)
-    assert np.abs(points[:, :2] - view.material[:, :2]).max() < 1e-5
-
-
 def test_white_noise_has_the_promised_size_and_grows_with_the_square_of_depth() -> None:
     config = SensorConfig.perfect(white_m=0.001)
     shape = (300, 400)
