@@ -159,16 +159,6 @@ def test_track_says_it_in_one_line_and_leaves_nothing(broken, tmp_path, capsys):
     assert list(out.iterdir()) == []
 
 
-def test_a_bad_recording_does_not_stop_the_good_ones(towels, tmp_path, capsys):
-    bad, good = tmp_path / "bad", towels / "recordings" / "towel_0002"
-    shutil.copytree(towels / "recordings" / "towel_0001", bad)
-    missing_picture(bad)
-    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
-    assert cli.main(["track", str(bad), str(good), *words]) == 1
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"towel_0002.zarr"}
-    assert str(bad) in capsys.readouterr().err
-
-
 def test_a_frame_without_cloth_in_the_middle_is_named(towels, tmp_path, capsys):
     folder = tmp_path / "broken"
     shutil.copytree(towels / "recordings" / "towel_0001", folder)
