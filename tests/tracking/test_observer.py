@@ -76,7 +76,7 @@ def test_what_was_looked_at_is_not_decoded_again_for_the_checks(recording, monke
     found = frames.small
     left_out = recording.frames[1]
     assert decoded == [left_out.depth["top"], left_out.color["top"]]
-    whole = reduction.small_pictures(recording)
+    whole = reduction.PictureReducer(recording).pictures()
     for field in fields(whole):
         given, expected = getattr(found, field.name), getattr(whole, field.name)
         np.testing.assert_array_equal(given, expected, err_msg=field.name)

@@ -26,15 +26,10 @@ from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.recordings.camera_view import CameraView, camera_views
-from clothtrack.recordings.geometry_checks.all_checks import check_geometry
-from clothtrack.recordings.geometry_checks.camera_checks import unit_findings
-from clothtrack.recordings.geometry_checks.clock_checks import (
-    gap_remedy,
-    held_over,
-    time_findings,
-)
+from clothtrack.recordings.geometry_checks.checks import UNIT_CHECKS, check_geometry
+from clothtrack.recordings.geometry_checks.cloth import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
-from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
+from clothtrack.recordings.geometry_checks.picker import gap_remedy, held_over
 from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 from clothtrack.recordings.point_cloud import SPACING_M, Observation, observation_of
@@ -203,15 +198,11 @@ def _refuse_wrong_units(recording: Recording) -> None:
 
     Simulating a minute per frame would take hours, and so would the points of a cloth of 4 m.
     """
-    for finding in time_findings(recording):
-        if finding.kind == "clock_unit" and finding.unit == "s":
+    for finding in check_geometry(recording, checks=UNIT_CHECKS):
+        if finding.unit != "m/s":  # A tip that is too fast or too slow takes no longer.
             raise InvalidRecordingError(
                 f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
             )
-    for finding in unit_findings(recording):
-        raise InvalidRecordingError(
-            f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
-        )
 
 
 def _refuse_held_gaps(recording: Recording) -> None:
