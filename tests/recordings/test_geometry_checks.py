@@ -18,8 +18,8 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.table_plane import world_from_table
 from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.recordings.geometry_checks.checks import check_geometry
-from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.cloth import mesh_gap_m
+from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.picker import picker_lag
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recorded_table import fit_recorded_table

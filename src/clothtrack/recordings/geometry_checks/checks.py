@@ -39,6 +39,9 @@ class Check:
 _HAS: dict[str, Callable[[ObservedFrames], bool]] = {
     "table": lambda frames: frames.recording.table is not None,
     "depth": lambda frames: bool(frames.recording.frames[0].depth),
+    "template": lambda frames: frames.recording.cloth.template is not None,
+    "no size": lambda frames: frames.recording.cloth.size_m is None,
+    "no template": lambda frames: frames.recording.cloth.template is None,
     "cloth": lambda frames: frames.at(0) is not None,
     "pictures": lambda frames: frames.small is not None,
 }
@@ -115,7 +118,7 @@ CHECKS = (
         "cloth.template is no surface of one cloth, {measured:pct} % of its vertices have a double "
         "within {weld:g} mm (at most {limit:pct} %), so its triangles are not joined: weld and "
         "repair it in a mesh editor (MeshLab: merge close vertices, remove duplicate faces), or "
-        "leave it out",
+        "leave it out", needs=["template"],
     ),
     Check(
         "camera_moved", cameras.table_motion, cameras.LARGEST_MOTION_M, "m", "frames",
@@ -160,20 +163,20 @@ CHECKS = (
         # a tea towel.
         "scale", cloth.longer_sides, (0.15, 1.3), "m", "cameras[0].depth_unit_m",
         "the cloth's longer side is {measured:.2g} m" + _SCALE + " ({unit_m:g})" + _RULER,
-        needs=["table", "depth", "cloth"], unless=_WORLD,
+        needs=["table", "depth", "cloth", "no size", "no template"], unless=_WORLD,
     ),
     Check(
         # Depth cameras measure from 0.25 m on; at 2 m one pixel is as wide as a fold.
         "scale", cloth.camera_heights, (0.25, 2.0), "m", "cameras[0].depth_unit_m",
         "the camera is {measured:.2g} m above the table" + _SCALE + " ({unit_m:g})" + _RULER,
-        needs=["table", "depth", "cloth"], unless=_WORLD,
+        needs=["table", "depth", "cloth", "no size", "no template"], unless=_WORLD,
     ),
     Check(
         # From the 94 degrees of an Azure Kinect to 39. Intrinsics of twice or half the picture
         # size lie outside, or nearly so.
         "scale", cloth.focal_lengths, (0.47, 1.4), "", "cameras[0].fx, fy",
         "fx and fy are {measured:.2g} of the picture's longer side" + _SCALE + _RULER,
-        needs=["table", "depth", "cloth"], unless=_WORLD,
+        needs=["table", "depth", "cloth", "no size", "no template"], unless=_WORLD,
     ),
     Check(
         # On right recordings from -6 to 29 mm: clouds that were cut away above the table begin
@@ -188,21 +191,21 @@ CHECKS = (
         "the template lies {measured:mm} mm (rms) from the cloth of the first frame (at most "
         "{limit:mm}), whose middle is ({x:.2f} {y:.2f} {z:.2f}) m from its own: put cloth.template "
         "where the cloth is, in the world of the cameras, or leave it out",
-        needs=["cloth"], unless=_WORLD,
+        needs=["cloth", "template"], unless=_WORLD,
     ),
     Check(
         "template", cloth.template_sides, None, "m", "cloth.template",
         "the template is {sides[0]:.2f} x {sides[1]:.2f} m and the cloth of the first frame "
         "{seen[0]:.2f} x {seen[1]:.2f} m (a side may differ by {most:pct} %): scale "
         "cloth.template, or correct fx and fy of the camera",
-        needs=["table", "cloth"], unless=_WORLD | {"template"},
+        needs=["table", "cloth", "template"], unless=_WORLD | {"template"},
     ),
     Check(
         "template", cloth.template_fills, None, "", "cloth.template",
         "the cloth of the first frame covers {measured:pct} % of the rectangle around it, the "
         "template {limit:pct} % (they may differ by {most:pct} %): give the template of this "
         "garment (clothtrack garment makes it), or cloth.kind alone",
-        needs=["table", "cloth"], unless=_WORLD | {"template"},
+        needs=["table", "cloth", "template"], unless=_WORLD | {"template"},
     ),
     Check(
         # Below 4 mm on right recordings.
@@ -211,7 +214,7 @@ CHECKS = (
         "the middle of the template is {measured:mm} mm beside that of the cloth in the first "
         "frame (at most {limit:mm}): put cloth.template where the cloth is; if it is right, the "
         "camera's pose is not (clothtrack calibrate-camera)",
-        needs=["table", "cloth"], unless=_WORLD | {"template"},
+        needs=["table", "cloth", "template"], unless=_WORLD | {"template"},
     ),
     Check(
         # Spread sleeves: 0.70 in simulation, and 0.76 of a boxy cut. A flat towel covers 1.02 to
@@ -219,7 +222,7 @@ CHECKS = (
         "garment_kind", cloth.shirt_fills, 0.92, "", "cloth.kind",
         "the cloth covers {measured:pct} % of the rectangle around it in the first frame, a "
         "T-shirt at most {limit:pct} %: correct cloth.kind, or begin with its sleeves spread out",
-        needs=["table", "cloth"], unless=_CLOTH,
+        needs=["table", "cloth", "no template"], unless=_CLOTH,
     ),
     Check(
         "size", cloth.flat_sizes, None, "m", "cloth.size_m",

@@ -92,33 +92,25 @@ def cloth_units(frames: ObservedFrames) -> Iterator[Measured]:
 
 
 def longer_sides(frames: ObservedFrames) -> Iterator[Measured]:
-    """Yield the longer side of a cloth whose size nothing else says [m]."""
-    if _unconfirmed(frames):
-        places, _ = on_table(frames.first.points, frames.table)
-        yield {"measured": _sides(places)[0], "unit_m": _unit_m(frames)}
+    """Yield the longer side of the cloth [m]."""
+    places, _ = on_table(frames.first.points, frames.table)
+    yield {"measured": _sides(places)[0], "unit_m": _unit_m(frames)}
 
 
 def camera_heights(frames: ObservedFrames) -> Iterator[Measured]:
-    """Yield the height of the camera above the table where no size says the scale [m]."""
-    if _unconfirmed(frames):
-        _, above_m = on_table(frames.recording.cameras[0].position[None], frames.table)
-        yield {"measured": float(above_m[0]), "unit_m": _unit_m(frames)}
+    """Yield the height of the camera above the table [m]."""
+    _, above_m = on_table(frames.recording.cameras[0].position[None], frames.table)
+    yield {"measured": float(above_m[0]), "unit_m": _unit_m(frames)}
 
 
 def focal_lengths(frames: ObservedFrames) -> Iterator[Measured]:
-    """Yield the focal length over the longer side of the picture where no size says the scale."""
+    """Yield the focal length over the longer side of the picture."""
     camera = frames.recording.cameras[0]
-    if _unconfirmed(frames):
-        yield {"measured": max(camera.fx, camera.fy) / max(camera.width, camera.height)}
+    yield {"measured": max(camera.fx, camera.fy) / max(camera.width, camera.height)}
 
 
 def _unit_m(frames: ObservedFrames) -> float:
     return frames.recording.depth_units_m.get(frames.recording.cameras[0].name, 0.001)
-
-
-def _unconfirmed(frames: ObservedFrames) -> bool:
-    cloth = frames.recording.cloth
-    return cloth.size_m is None and cloth.template is None
 
 
 def lowest(frames: ObservedFrames) -> Iterator[Measured]:
@@ -128,9 +120,10 @@ def lowest(frames: ObservedFrames) -> Iterator[Measured]:
 
 def template_gaps(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the distance of the template from the cloth (root mean square) [m]."""
-    template, gap_m = frames.recording.cloth.template, frames.once(_template_gap_m)
-    if template is not None and gap_m is not None:
-        x, y, z = (frames.first.points.mean(axis=0) - template.vertices.mean(axis=0)).tolist()
+    gap_m = frames.once(_template_gap_m)
+    if gap_m is not None:
+        beside = frames.first.points.mean(axis=0) - frames.template.vertices.mean(axis=0)
+        x, y, z = beside.tolist()
         yield {"measured": gap_m, "x": x, "y": y, "z": z}
 
 
@@ -148,12 +141,11 @@ def template_sides(frames: ObservedFrames) -> Iterator[Measured]:
 def template_fills(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the share of its rectangle that the cloth covers where a flat template's is another."""
     places, spread = frames.once(_flat_template), frames.once(_spread)
-    template = frames.recording.cloth.template
-    if places is None or template is None or spread.cut_off:
+    if places is None or spread.cut_off:
         return
     corners = ((places - places.min(axis=0)) / _FILL_CELL_M).astype(np.int32)
     covered = np.zeros(corners.max(axis=0)[::-1] + 1, np.uint8)
-    for face in template.faces:
+    for face in frames.template.faces:
         cv2.fillConvexPoly(covered, corners[face], 1)
     fill = float(covered.sum() * _FILL_CELL_M**2 / np.prod(_sides(places)))
     if abs(fill - spread.fill) > FILL_TOLERANCE:
@@ -171,9 +163,7 @@ def template_places(frames: ObservedFrames) -> Iterator[Measured]:
 
 def double_vertices(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the share of the template's vertices that are written twice on its boundary."""
-    template = frames.recording.cloth.template
-    if template is None:
-        return
+    template = frames.template
     corners = template.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, counts = np.unique(np.sort(corners, axis=1), axis=0, return_counts=True)
     rim = np.unique(edges[counts == 1])
@@ -186,7 +176,7 @@ def shirt_fills(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the share of its rectangle that a flat shirt without a template covers."""
     cloth, spread = frames.recording.cloth, frames.once(_spread)
     judged = _whole(frames) and not spread.cut_off and spread.rise_m <= THICK_M
-    if judged and cloth.template is None and cloth.kind == "tshirt":
+    if judged and cloth.kind == "tshirt":
         yield {"measured": spread.fill}
 
 
@@ -271,19 +261,15 @@ def _whole(frames: ObservedFrames) -> bool:
 
 
 def _template_gap_m(frames: ObservedFrames) -> float | None:
-    template = frames.recording.cloth.template
-    if template is None:
-        return None
-    return mesh_gap_m(template.vertices, template.faces, frames.first)
+    return mesh_gap_m(frames.template.vertices, frames.template.faces, frames.first)
 
 
 def _flat_template(frames: ObservedFrames) -> Float[np.ndarray, "vertices 2"] | None:
     """Return the vertices of a flat template on the table [m]; None unless it and the cloth are."""
-    template = frames.recording.cloth.template
     # Where what is seen does not say whether it is elsewhere, its size is not judged.
-    if template is None or frames.once(_template_gap_m) is None:
+    if frames.once(_template_gap_m) is None:
         return None
-    places, heights = on_table(template.vertices, frames.table)
+    places, heights = on_table(frames.template.vertices, frames.table)
     flat = max(float(np.ptp(heights)), frames.once(_spread).rise_m) <= THICK_M
     return places if flat else None
 

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer, SmallPictures
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, small_pictures
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording, Table
 
@@ -54,12 +55,10 @@ class ObservedFrames:
         self,
         recording: Recording,
         cloud: Callable[[Frame], Observation] | None = None,
-        reducer: PictureReducer | None = None,
     ) -> None:
         """Read nothing yet."""
         self.recording = recording
         self._cloud = cloud or partial(observe, recording)
-        self._reducer = reducer or PictureReducer(recording)
         self._seen: dict[int, Observation | None] = {}
         self._known: dict[Callable[..., Any], Any] = {}
 
@@ -81,13 +80,19 @@ class ObservedFrames:
     @cached_property
     def small(self) -> SmallPictures | None:
         """Reduced pictures of one camera; None if there is no readable depth."""
-        return self._reducer.pictures()
+        return small_pictures(self.recording)
 
     @property
     def table(self) -> Table:
         """The table, for checks that need one."""
         assert self.recording.table is not None
         return self.recording.table
+
+    @property
+    def template(self) -> ClothMesh:
+        """The template, for checks that need one."""
+        assert self.recording.cloth.template is not None
+        return self.recording.cloth.template
 
     @property
     def first(self) -> Observation:

@@ -83,23 +83,20 @@ def clock_units(frames: ObservedFrames) -> Iterator[Measured]:
     yield {
         "measured": measured, "limit": high if measured > high else low, "step_s": step_s,
         "unit": "s" if wrong_step else "m/s", "moves": moves,
-        "likely": "".join(
-            f"; all times {factor:g} times as large would be those of a camera"
-            for factor in known[:1]
-        ),
+        "likely": f"; all times {known[0]:g} times as large would be those of a camera"
+        if known else "",
     }  # fmt: skip
 
 
 def clock_jumps(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the first step between frames that no pause explains [s]."""
     middle_s = frames.once(_step_s) or np.inf
-    jump_s = _longest_gap_s(middle_s)
-    for frame, before, after in _steps(frames.recording):
-        if after - before > jump_s:
+    for frame, step_s, jump_s in _steps(frames):
+        if step_s > jump_s:
             held = bool(held_over(frames.recording, frame))
             yield {
-                "measured": after - before, "limit": jump_s, "frame": frame, "next": frame + 1,
-                "remedy": gap_remedy(after - before - middle_s, held=held),
+                "measured": step_s, "limit": jump_s, "frame": frame, "next": frame + 1,
+                "remedy": gap_remedy(step_s - middle_s, held=held),
                 "severity": "doubt" if held else "note",
             }  # fmt: skip
             return
@@ -107,14 +104,16 @@ def clock_jumps(frames: ObservedFrames) -> Iterator[Measured]:
 
 def frame_gaps(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the first gap between frames in which a closed picker moves on [s]."""
-    middle_s = frames.once(_step_s) or np.inf
-    gap_s, paths = max(_GAP * middle_s, _LEAST_GAP_S), frames.recording.picker_paths.values()
-    for frame, before, after in _steps(frames.recording):
-        if gap_s < after - before <= _longest_gap_s(middle_s):
-            gone_m = max((_carried_m(path, before, after) for path in paths), default=0.0)
+    recording = frames.recording
+    gap_s = max(_GAP * (frames.once(_step_s) or np.inf), _LEAST_GAP_S)
+    for frame, step_s, jump_s in _steps(frames):
+        if gap_s < step_s <= jump_s:
+            span = recording.frames[frame].time_s, recording.frames[frame + 1].time_s
+            paths = recording.picker_paths.values()
+            gone_m = max((_carried_m(path, *span) for path in paths), default=0.0)
             if gone_m > _LEAST_GAP_M:
                 yield {
-                    "measured": after - before, "limit": gap_s, "frame": frame, "next": frame + 1,
+                    "measured": step_s, "limit": gap_s, "frame": frame, "next": frame + 1,
                     "gone_m": gone_m,
                 }  # fmt: skip
                 return
@@ -156,14 +155,11 @@ def _step_s(frames: ObservedFrames) -> float | None:
     return float(np.median(np.diff(times))) if len(times) >= 5 else None
 
 
-def _longest_gap_s(middle_s: float) -> float:
-    return max(_JUMP * middle_s, _LEAST_JUMP_S)
-
-
-def _steps(recording: Recording) -> Iterator[tuple[int, float, float]]:
-    """Yield the number of each frame but the last, its time, and that of the next [s]."""
-    for frame, (before, after) in enumerate(pairwise(recording.frames)):
-        yield frame, before.time_s, after.time_s
+def _steps(frames: ObservedFrames) -> Iterator[tuple[int, float, float]]:
+    """Yield the number of each frame but the last, the step after it, and that of a jump [s]."""
+    jump_s = max(_JUMP * (frames.once(_step_s) or np.inf), _LEAST_JUMP_S)
+    for frame, (before, after) in enumerate(pairwise(frames.recording.frames)):
+        yield frame, after.time_s - before.time_s, jump_s
 
 
 def _speed_m_s(recording: Recording) -> float | None:
@@ -207,18 +203,17 @@ def never_closed(frames: ObservedFrames) -> Iterator[Measured]:
 def closing_gaps(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the distance of a closing tip from the cloth [m]."""
     for hold, gap_m, limit_m in frames.once(_closing):
-        if np.isfinite(gap_m) and gap_m > limit_m:
-            time_s = frames.recording.frames[hold.closed[0]].time_s
+        if gap_m > limit_m:
             yield {
                 "measured": gap_m, "limit": limit_m, "picker": hold.name, "action": hold.action,
-                "time_s": time_s,
+                "time_s": frames.recording.frames[hold.closed[0]].time_s,
             }  # fmt: skip
 
 
 def carried_gaps(frames: ObservedFrames) -> Iterator[Measured]:
     """Yield the distance from the cloth that a quarter of a closed tip's frames exceed [m]."""
     for hold, closing_m, limit_m in frames.once(_closing):
-        if np.isfinite(closing_m) and closing_m > limit_m:
+        if closing_m > limit_m:
             continue
         places = np.linspace(0, len(hold.closed) - 1, _CARRIED_FRAMES).round().astype(int)
         gaps = []
@@ -256,7 +251,7 @@ def _closing(frames: ObservedFrames) -> list[tuple[_Hold, float, float]]:
     """Return each hold, the distance of its closing tip from the cloth, and the limit [m].
 
     The distance is the smaller one of then and of when the action starts, because a hand may hide
-    the cloth when the picker closes; infinite where nothing is seen.
+    the cloth when the picker closes; 0 where nothing is seen.
     """
     limit_m, found = REACH_M + _allowance_m(frames.recording), []
     for hold in frames.once(_holds):
@@ -268,7 +263,7 @@ def _closing(frames: ObservedFrames) -> list[tuple[_Hold, float, float]]:
             for seen in (frames.at(hold.first), frames.at(hold.closed[0]))
             if seen is not None and len(seen.points) and not _beyond(seen, tip)
         ]
-        found.append((hold, min(gaps, default=np.inf), limit_m))
+        found.append((hold, min(gaps, default=0.0), limit_m))
     return found
 
 

@@ -1,6 +1,5 @@
 """Reduced pictures of one camera, for cheap checks of motion in color and in depth."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +9,6 @@ from jaxtyping import Float, UInt8
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.camera_view import CameraView
 from clothtrack.recordings.pictures import read_color, read_depth, read_mask
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import height_per_depth
@@ -27,7 +25,6 @@ _COLOR_EDGE, _HEIGHT_EDGE_M = (3.0, 30.0), (0.0008, 0.006)
 a channel [of 255], and of the height [m]. The slope of a cloth as thick as a coin counts."""
 
 _Height = Float[np.ndarray, "rows columns"]
-_Color = UInt8[np.ndarray, "rows columns 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,88 +66,49 @@ class SmallPictures:
         return maps
 
 
-class PictureReducer:
-    """A reducer of the pictures of the first camera with depth, once per frame.
+def small_pictures(recording: Recording) -> SmallPictures | None:
+    """Return the reduced pictures of the first camera with depth.
 
-    Decoding costs ten times as much as reducing, so code that decodes pictures anyway passes them
-    to `look`. The others are read in the end.
+    None if there are none, or one cannot be read.
     """
-
-    def __init__(self, recording: Recording) -> None:
-        """Reduce nothing yet."""
-        self._recording = recording
-        cameras = [c for c in recording.cameras if c.name in recording.depth_units_m]
-        self._camera = cameras[0] if cameras else None
-        self._frames = _looked_at(recording, cameras[0].name) if cameras else {}
-        self._with_color = all(
-            camera.name in frame.color for camera in cameras[:1] for frame in self._frames.values()
-        )
-        self._reduced: dict[int, tuple[_Height, _Color | None]] = {}
-
-    def look(self, frame: Frame, views: Sequence[CameraView]) -> None:
-        """Reduce the decoded pictures of a frame, if it is one of the frames used."""
-        if frame.index not in self._frames or frame.index in self._reduced:
-            return
-        for view in views:
-            if self._camera is None or view.camera.name != self._camera.name:
-                continue
-            if view.color is not None or not self._with_color:
-                color = view.color if self._with_color else None
-                self._reduce(frame, view.camera, view.depth_m, color)
-
-    def pictures(self) -> SmallPictures | None:
-        """Return the reduced pictures; None if there are none, or one cannot be read."""
-        camera, frames = self._camera, tuple(self._frames.values())
-        if camera is None or not frames:
-            return None
-        name, masks = camera.name, []
-        try:
-            for frame in frames:
-                if frame.index not in self._reduced:
-                    depth_m = read_depth(frame.depth[name], self._recording.depth_units_m[name])
-                    color = read_color(frame.color[name]) if self._with_color else None
-                    self._reduce(frame, camera, depth_m, color)
-            if all(name in frame.mask for frame in frames):
-                masks = [_mean(read_mask(frame.mask[name]), _factor(camera)) for frame in frames]
-        except ClothTrackError:
-            return None
-        heights, colors = zip(*(self._reduced[frame.index] for frame in frames), strict=True)
-        return SmallPictures(
-            camera,
-            _factor(camera),
-            tuple(frame.index for frame in frames),
-            np.stack(colors) if self._with_color else None,
-            np.stack(heights),
-            np.stack(masks) if masks else None,
-        )
-
-    def _reduce(
-        self,
-        frame: Frame,
-        camera: Camera,
-        depth_m: Float[np.ndarray, "height width"],
-        color: UInt8[np.ndarray, "height width 3"] | None,
-    ) -> None:
-        factor, table = _factor(camera), self._recording.table
-        slope, offset_m = (-1.0, 0.0) if table is None else height_per_depth(camera, table)
-        share = _mean(depth_m > 0, factor)
-        # Pixels without a measurement have depth 0 and add nothing.
-        total_m = _mean(depth_m * slope, factor)
-        height_m = np.where(share >= 0.5, total_m / np.maximum(share, 0.5) + offset_m, np.nan)
-        small = None if color is None else _mean(color, factor)
-        self._reduced[frame.index] = height_m.astype(np.float32), small
-
-
-def _looked_at(recording: Recording, camera: str) -> Mapping[int, Frame]:
-    """Return the frames used, by their number."""
+    camera = next((c for c in recording.cameras if c.name in recording.depth_units_m), None)
+    if camera is None:
+        return None
+    name, factor = camera.name, max(1, round(camera.width / _COLUMNS))
     begin = max(recording.actions[0].first_frame - 10, 0) if recording.actions else 0
     begin = max(min(begin, len(recording.frames) - _MOST_FRAMES), 0)
-    frames = recording.frames[begin : begin + _MOST_FRAMES]
-    return {frame.index: frame for frame in frames if camera in frame.depth}
+    frames = [f for f in recording.frames[begin : begin + _MOST_FRAMES] if name in f.depth]
+    colors, masks = [], []
+    try:
+        heights = [_height_m(recording, frame, camera, factor) for frame in frames]
+        if all(name in frame.color for frame in frames):
+            colors = [_mean(read_color(frame.color[name]), factor) for frame in frames]
+        if all(name in frame.mask for frame in frames):
+            masks = [_mean(read_mask(frame.mask[name]), factor) for frame in frames]
+    except ClothTrackError:
+        return None
+    if not heights:
+        return None
+    return SmallPictures(
+        camera,
+        factor,
+        tuple(frame.index for frame in frames),
+        np.stack(colors) if colors else None,
+        np.stack(heights),
+        np.stack(masks) if masks else None,
+    )
 
 
-def _factor(camera: Camera) -> int:
-    return max(1, round(camera.width / _COLUMNS))
+def _height_m(recording: Recording, frame: Frame, camera: Camera, factor: int) -> _Height:
+    depth_m = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+    slope, offset_m = -1.0, 0.0
+    if recording.table is not None:
+        slope, offset_m = height_per_depth(camera, recording.table)
+    share = _mean(depth_m > 0, factor)
+    # Pixels without a measurement have depth 0 and add nothing.
+    total_m = _mean(depth_m * slope, factor)
+    height_m = np.where(share >= 0.5, total_m / np.maximum(share, 0.5) + offset_m, np.nan)
+    return height_m.astype(np.float32)
 
 
 def _mean(picture: np.ndarray, factor: int) -> np.ndarray:
