@@ -20,7 +20,7 @@ from clothtrack.evaluation.label_quality import (
 )
 from clothtrack.reconstruction.agreement import Agreement
 from clothtrack.reconstruction.from_picture import NetworkMesh
-from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.checks import check_geometry
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter

@@ -10,7 +10,7 @@ from clothtrack.live.search_beside import Asked, in_tracked_frames
 from clothtrack.live.search_process import Question, Standing
 from clothtrack.live.seen_log import SeenLog, unpacked
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
-from clothtrack.recordings.geometry_checks.picker_clock import (
+from clothtrack.recordings.geometry_checks.picker import (
     FARTHEST_LAG_S,
     ClockLag,
     picker_lag,
@@ -187,7 +187,7 @@ class LiveAction:
             picker_paths={name: path.since(since_s) for name, path in self._growing.paths.items()},
         )
         frames = ObservedFrames(recording, cloud=lambda frame: seen[frame.index])
-        lag = picker_lag(recording, frames)
+        lag = picker_lag(frames)
         return lag if lag is not None and lag.is_wrong(times_s) else None
 
     def _grasps(self, paths: Mapping[str, PickerPath]) -> HeldCloth:

@@ -23,7 +23,7 @@ from clothtrack.live.live_state import LiveState
 from clothtrack.live.recovery import Found, Recovery
 from clothtrack.live.search_beside import Asked, SearchBeside
 from clothtrack.live.warm_up import warm_up
-from clothtrack.recordings.geometry_checks.picker_clock import ClockLag
+from clothtrack.recordings.geometry_checks.picker import ClockLag
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import ClothDescription, Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter

@@ -18,7 +18,7 @@ from clothtrack.files.worker_pool import start_worker
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.live.live_judge import Judgment
 from clothtrack.reconstruction.first_mesh import carried_over
-from clothtrack.recordings.geometry_checks.mesh_gap import mesh_gap_m
+from clothtrack.recordings.geometry_checks.cloth import mesh_gap_m
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
