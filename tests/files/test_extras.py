@@ -41,7 +41,7 @@ def test_an_editable_copy_is_extended_where_its_checkout_lies(installed, tmp_pat
 
 def test_a_copy_made_from_a_folder_is_not_made_editable(installed, tmp_path):
     installed({"url": tmp_path.as_uri(), "dir_info": {}})
-    assert shlex.split(install_command("rerun"))[3:] == ["install", f"{tmp_path}[rerun]"]
+    assert shlex.split(install_command("realsense"))[3:] == ["install", f"{tmp_path}[realsense]"]
 
 
 def test_a_copy_from_a_wheel_is_extended_from_that_file(installed, tmp_path):
@@ -58,7 +58,7 @@ def test_a_copy_from_a_wheel_is_extended_from_that_file(installed, tmp_path):
 def test_a_copy_of_unknown_origin_is_extended_in_a_checkout(installed, origin):
     installed(origin)
     assert install_command("learn") == "make learn (in a checkout of clothtrack)"
-    assert install_command("rerun") == "make EXTRAS=rerun install (in a checkout of clothtrack)"
+    assert install_command("realsense") == "make EXTRAS=realsense install (in a checkout of clothtrack)"
 
 
 def test_a_copy_that_was_never_installed_is_extended_in_a_checkout(monkeypatch):
