@@ -58,7 +58,7 @@ def test_a_copy_from_a_wheel_is_extended_from_that_file(installed, tmp_path):
 def test_a_copy_of_unknown_origin_is_extended_in_a_checkout(installed, origin):
     installed(origin)
     assert install_command("learn") == "make learn (in a checkout of clothtrack)"
-    assert install_command("realsense") == "make EXTRAS=realsense install (in a checkout of clothtrack)"
+    assert install_command("ray") == "make EXTRAS=ray install (in a checkout of clothtrack)"
 
 
 def test_a_copy_that_was_never_installed_is_extended_in_a_checkout(monkeypatch):

@@ -1,7 +1,6 @@
 """Check that artifacts of every kind are unchanged; the content tells the kind."""
 
 import json
-import re
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -13,7 +12,6 @@ from clothtrack.api.learning_extra import require_learning
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.files.array_digest import DIGEST
-from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.validation import check_recording
@@ -187,21 +185,7 @@ def _weights(path: Path, progress: Progress | None) -> _Findings:
     notes = [f"{len(weights.tensors)} arrays for {weights.kind:.80}"]
     if not is_sealed(path):
         notes.append(_UNSEALED)
-    for card in (path.with_suffix(".md"), path.with_name("model_card.md")):
-        stated = _stated(card, path.name)
-        if stated and stated != content_hash(path):
-            return (f"it is another file than its card {card} tells of; fetch both again",), ()
     return (), tuple(notes)
-
-
-def _stated(card: Path, name: str) -> str:
-    """Return the SHA-256 that a model card gives for a file; empty if there is none."""
-    try:
-        text = card.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return ""
-    found = re.search(rf"`{re.escape(name)}`, SHA-256 `([0-9a-f]{{64}})`", text)
-    return found[1] if found else ""
 
 
 def _states(path: Path, progress: Progress | None) -> _Findings:
