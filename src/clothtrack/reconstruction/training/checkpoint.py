@@ -22,7 +22,6 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidResultError, StorageError
-from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import atomic_file, write_file
 
 logger = logging.getLogger(__name__)
@@ -36,6 +35,8 @@ PACKAGES = ("torch", "numpy", "safetensors", "warp-lang")
 
 START = "start"
 """Key of `data` in a provenance, for the runs that led to a training's start weights."""
+
+DIGEST = "sha256"
 
 _REMEDY = "train again, or fetch an undamaged copy"
 
