@@ -1,7 +1,6 @@
 import errno
 import os
 import shutil
-import subprocess
 
 import pytest
 
@@ -9,7 +8,6 @@ from clothtrack.errors import StorageError
 from clothtrack.files.atomic_write import (
     atomic_file,
     atomic_folder,
-    clear_dead,
     clear_leftovers,
     hidden_name,
     name_problem,
@@ -176,53 +174,37 @@ def test_what_is_wrong_with_another_name_is_said(name, told):
     assert told in name_problem(name)
 
 
-def left_by(pid, path, suffix="", host=None):
+def left_by_a_killed_writer(path, suffix=""):
     """A hidden folder as a process leaves it when it is killed while it writes to a path."""
-    name = hidden_name(path.name).replace(f"-{os.getpid()}-", f"-{pid}-") + suffix
-    _, mark, rest = name.partition(f"{path.name}.")
-    left = path.with_name("." + mark + (rest if host is None else host + rest[8:]))
+    left = path.with_name(hidden_name(path.name) + suffix)
     left.mkdir()
     (left / "big").touch()
     return left
 
 
-@pytest.fixture
-def dead():
-    with subprocess.Popen(["true"]) as process:
-        process.wait()
-    return process.pid
-
-
-def test_what_dead_processes_leave_is_removed_and_nothing_of_a_living_one(tmp_path, dead):
-    path = tmp_path / "towel"
-    alive, neighbor = left_by(os.getpid(), path), left_by(dead, tmp_path / "towel.b")
-    far = left_by(os.getpid(), path, host="00000000")
-    (tmp_path / ".towel.mine").touch()
-    gone = left_by(dead, path)
-    clear_leftovers([path])
-    assert not gone.exists()
-    assert not far.exists(), "who holds the lock removes what other machines have left"
-    assert neighbor.exists()
-    far = left_by(1, path, host="00000000")
-    clear_dead(tmp_path)
-    assert {one.name for one in tmp_path.iterdir()} == {alive.name, far.name, ".towel.mine"}
-
-
-def test_a_folder_that_was_being_replaced_gets_its_name_back(tmp_path, dead):
+def test_who_writes_a_folder_removes_what_a_killed_writer_of_it_has_left(tmp_path):
     path = tmp_path / "towel.zarr"
-    left_by(dead, path, suffix=".old")
+    left_by_a_killed_writer(path)
+    neighbor = left_by_a_killed_writer(tmp_path / "towel.b.zarr")
+    (tmp_path / ".towel.zarr.mine").touch()
+    with atomic_folder(path):
+        pass
+    assert {one.name for one in tmp_path.iterdir()} == {
+        path.name,
+        neighbor.name,
+        ".towel.zarr.mine",
+    }
+
+
+def test_unfinished_files_are_removed_by_who_holds_the_lock(tmp_path):
+    (tmp_path / hidden_name("towel", ".mp4")).touch()
+    clear_leftovers([tmp_path / "towel", tmp_path / "towel.mp4"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_was_being_replaced_gets_its_name_back(tmp_path):
+    path = tmp_path / "towel.zarr"
+    left_by_a_killed_writer(path, suffix=".old")
     clear_leftovers([path])
     assert [one.name for one in tmp_path.iterdir()] == ["towel.zarr"]
     assert (path / "big").exists()
-
-
-@pytest.mark.parametrize("opened", [atomic_file, atomic_folder])
-def test_who_writes_into_a_folder_first_removes_what_dead_processes_left_there(
-    opened, tmp_path, dead
-):  # fmt: skip
-    """Verbs with one result have no list of work that would do so."""
-    left_by(dead, tmp_path / "sheet.png")
-    alive = left_by(os.getpid(), tmp_path / "sheet.png")
-    with opened(tmp_path / "new"):
-        pass
-    assert {path.name for path in tmp_path.iterdir()} == {"new", alive.name}

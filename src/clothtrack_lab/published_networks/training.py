@@ -9,7 +9,7 @@ import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
-from clothtrack.files.run_manifest import as_plain
+from clothtrack.files.provenance import as_plain
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet

@@ -140,12 +140,6 @@ def load_weights(path: Path) -> Weights:
     return Weights(path, tensors, network, kind, provenance)
 
 
-def is_sealed(path: Path) -> bool:
-    """Return whether an intact weights file has a SHA-256; older files have none."""
-    with safe_open(path, framework="pt") as file:
-        return DIGEST in (file.metadata() or {})
-
-
 def weights_digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
     """Return the SHA-256 of weights and their metadata, in hexadecimal digits."""
     described = {name: text for name, text in metadata.items() if name != DIGEST}
