@@ -30,23 +30,6 @@ def test_nothing_appears_when_the_writer_fails(opened, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_was_there_stays_when_the_writer_fails(tmp_path):
-    path = tmp_path / "page.html"
-    path.write_text("yesterday")
-    with pytest.raises(RuntimeError):
-        _break_off(atomic_file, path)
-    assert path.read_text() == "yesterday"
-
-
-def test_a_finished_file_replaces_the_one_before(tmp_path):
-    path = tmp_path / "deep" / "page.html"
-    for words in ("yesterday", "today"):
-        with atomic_file(path) as temporary:
-            temporary.write_text(words)
-    assert path.read_text() == "today"
-    assert [found.name for found in path.parent.iterdir()] == ["page.html"]
-
-
 @pytest.mark.parametrize("opened", [atomic_file, atomic_folder])
 def test_a_place_that_cannot_be_written_to_is_named(opened, tmp_path):
     (tmp_path / "file").write_text("not a folder")
@@ -83,32 +66,6 @@ def test_the_folder_before_stays_when_the_new_one_cannot_take_its_place(tmp_path
         (temporary / "today").touch()
     assert [found.name for found in path.iterdir()] == ["yesterday"]
     assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
-
-
-def test_no_folder_is_half_removed_under_its_name(tmp_path, monkeypatch):
-    path = tmp_path / "states.zarr"
-    removed = []
-    remove = shutil.rmtree
-
-    def watched(folder, **options):
-        removed.append(folder)
-        remove(folder, **options)
-
-    monkeypatch.setattr(shutil, "rmtree", watched)
-    for words in ("yesterday", "today"):
-        with atomic_folder(path, replace=True) as temporary:
-            (temporary / words).touch()
-    assert all(folder.name.startswith(".") for folder in removed)
-
-
-def test_a_file_gives_way_to_no_folder(tmp_path):
-    (tmp_path / "states.zarr").write_text("mine")
-    with (
-        pytest.raises(StorageError, match="a file is where a folder belongs"),
-        atomic_folder(tmp_path / "states.zarr", replace=True),
-    ):
-        pass
-    assert (tmp_path / "states.zarr").read_text() == "mine"
 
 
 def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
