@@ -1,9 +1,7 @@
 """The benchmark: its list, its ranges, and that what lies on disk is what the list says."""
 
 import json
-import os
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +9,11 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
-from clothtrack.files.atomic_write import hidden_name
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack_lab.world import bench_generation
 from clothtrack_lab.world.bench import BenchTrajectory, trajectories
-from clothtrack_lab.world.bench_generation import checksum, generate_bench, verify_bench
+from clothtrack_lab.world.bench_generation import generate_bench
 from clothtrack_lab.world.episodes import TemplateConfig
 
 SMALL = SensorConfig(width=80, height=60, focal=75.0)
@@ -84,16 +81,8 @@ def test_equal_seeds_give_equal_bytes_in_another_process(made: Path, tmp_path: P
         document(made)["trajectories"], document(tmp_path)["trajectories"], strict=True
     ):
         assert {**ours, "cpu_s": 0} == {**theirs, "cpu_s": 0}
-
-
-def test_a_stranger_can_verify_with_sha256sum(made: Path) -> None:
-    folder = made / "recordings" / "towel_dev_00"
-    told = subprocess.run(
-        "find . -type f -printf '%P\\n' | LC_ALL=C sort | xargs sha256sum | sha256sum",
-        shell=True, cwd=folder, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert told.stdout.split()[0] == checksum(folder)
-    assert checksum(folder) == document(made)["trajectories"][0]["recording_sha256"]
+    for path in (*made.rglob("*.png"), *made.rglob("recording.json")):
+        assert path.read_bytes() == (tmp_path / path.relative_to(made)).read_bytes()
 
 
 def test_what_is_finished_is_kept(copy: Path) -> None:
@@ -104,40 +93,19 @@ def test_what_is_finished_is_kept(copy: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in copy.glob("[!.]*/**/*")} == before
 
 
-def test_what_is_broken_is_found_and_made_again(copy: Path) -> None:
+def test_what_is_missing_is_made_again(copy: Path) -> None:
     whole = document(copy)
-    assert verify_bench(copy, PAIR) == []
-    picture = next((copy / "recordings" / "towel_dev_01" / "depth").iterdir())
-    picture.write_bytes(picture.read_bytes()[:-1] + b"x")
-    with subprocess.Popen(["true"]) as dead:
-        dead.wait()
-    left = hidden_name("towel_dev_01").replace(f"-{os.getpid()}-", f"-{dead.pid}-")
-    (copy / "recordings" / left).mkdir()
-    (wrong,) = verify_bench(copy, PAIR)
-    assert "towel_dev_01" in wrong
+    (copy / "truth" / "towel_dev_01.npz").unlink()
     generate_bench(copy, PAIR)
-    assert verify_bench(copy, PAIR) == []
-    assert not list(copy.rglob(".*"))
+    assert (copy / "truth" / "towel_dev_01.npz").exists()
     again = document(copy)["trajectories"][1]
     assert {**again, "cpu_s": 0} == {**whole["trajectories"][1], "cpu_s": 0}
-
-
-def test_what_is_missing_or_added_is_found(copy: Path) -> None:
-    (copy / "truth" / "towel_dev_00.npz").unlink()
-    (copy / "recordings" / "towel_dev_01" / "note.txt").write_text("mine")
-    wrong = verify_bench(copy, trajectories(("dev",))[:3])
-    assert [line.split(":")[0] for line in wrong] == [
-        "towel_dev_00", "towel_dev_01", "towel_dev_02",
-    ]  # fmt: skip
-    assert "missing" in wrong[0]
-    assert "not in bench.json" in wrong[2]
 
 
 def test_another_recipe_is_not_mixed_in(copy: Path) -> None:
     other = replace(PAIR[0], changes={**TINY, "actions": 2})
     with pytest.raises(InvalidConfigError, match="other settings"):
         generate_bench(copy, [other])
-    assert verify_bench(copy, PAIR) == []
 
 
 def test_a_diverged_trajectory_gets_the_next_seed(
