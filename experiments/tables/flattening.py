@@ -50,7 +50,7 @@ from clothtrack.planning.planning_dynamics import MotionConfig
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
 from clothtrack.report.flattening_page import write_film_strip
-from clothtrack_lab.baselines.flattening_policies import POLICIES
+from clothtrack_lab.flattening import POLICIES
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
 from clothtrack_lab.world import (
     SMALL_WORLD,
