@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from clothtrack_capture.api.recording import record
     from clothtrack_capture.api.segmentation import segment
     from clothtrack_capture.board import Board, BoardPose, locate_board, locate_boards
-    from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm
     from clothtrack_capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye, read_robot_poses
     from clothtrack_capture.importing.import_options import ImportOptions
     from clothtrack_capture.live_capture import (
@@ -37,9 +36,6 @@ __all__ = [
     "CaptureWriter",
     "CapturedFrame",
     "DepthCamera",
-    "FrankaConfig",
-    "FrankaRobot",
-    "FrankyArm",
     "HandEye",
     "ImportOptions",
     "RealSenseCamera",
