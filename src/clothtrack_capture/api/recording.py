@@ -17,7 +17,6 @@ def record(
     seconds: float | None = None,
     replay: Path | str | None = None,
     serial: str = "",
-    salvage: bool = False,
     source: "DepthCamera | None" = None,
     opened: "Callable[[str], None] | None" = None,
 ) -> Result:
@@ -28,7 +27,6 @@ def record(
         seconds: record for this long immediately, without the page.
         replay: recording to replay in place of the camera.
         serial: serial number of the camera, if several are connected.
-        salvage: record nothing, and make a recording from an interrupted capture.
         source: another camera, or one with another picture size (`open_realsense`); by default a
             RealSense camera with 640 x 480 pictures, 30 per second.
         opened: function called with the page's address.
@@ -39,26 +37,23 @@ def record(
         StorageError: the folder exists or the disk refuses.
     """
     from clothtrack.recordings.store import read_recording
-    from clothtrack_capture.live_capture import ReplayedCamera, salvage_capture
+    from clothtrack_capture.live_capture import ReplayedCamera
     from clothtrack_capture.realsense_camera import open_realsense
     from clothtrack_capture.recording_page import Session, record_live
 
     output = Path(output)
-    if salvage:
-        recording = salvage_capture(output)
+    name = "RealSense" if source is None else type(source).__name__
+    if replay is not None:
+        source, name = ReplayedCamera(read_recording(replay)), "a replayed recording"
+    camera = source or open_realsense(serial=serial)
+    session = Session(camera, output, {"recorded_with": f"clothtrack record, {name}"})
+    if seconds is not None:
+        session.start()
+        with suppress(KeyboardInterrupt):
+            session.watch(seconds)
+        recording = session.finish()
     else:
-        name = "RealSense" if source is None else type(source).__name__
-        if replay is not None:
-            source, name = ReplayedCamera(read_recording(replay)), "a replayed recording"
-        camera = source or open_realsense(serial=serial)
-        session = Session(camera, output, {"recorded_with": f"clothtrack record, {name}"})
-        if seconds is not None:
-            session.start()
-            with suppress(KeyboardInterrupt):
-                session.watch(seconds)
-            recording = session.finish()
-        else:
-            recording = record_live(session, opened=opened)
+        recording = record_live(session, opened=opened)
     if recording is None:
         nothing = "left before the start; nothing was recorded"
         return Result("", {"recording": output, "frames": 0}, (nothing,))
