@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clothtrack_capture.mask_summary import MaskSummary, doubtful
+from clothtrack_capture.mask_pictures import MaskSummary, doubtful
 
 
 def test_a_fold_that_halves_the_area_slowly_is_no_doubt():

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import clothtrack as ct
+from clothtrack_capture.click_pages import pick_live
 from clothtrack_capture.clicked_picking import ClickedPicking
-from clothtrack_capture.picking_page import pick_live
 
 _spec = importlib.util.spec_from_file_location(
     "chromium", Path(__file__).parents[1] / "report" / "chromium.py"
@@ -88,7 +88,7 @@ def test_leaving_without_saving_leaves_the_recording_alone(folder):
 def test_every_wrong_message_is_answered_with_one_line_and_the_page_lives_on(folder):
     with Served(folder) as page:
         for path, message, status, told in (
-            ("save", {}, 422, "nothing is clicked yet"),
+            ("keep", {}, 422, "nothing is clicked yet"),
             ("click", {"frame": 2, "click": [3, 3]}, 422, "click on the cloth"),
             ("click", {"frame": 99, "click": [250, 63]}, 422, "from 0 to 42"),
             ("click", {"frame": "x", "click": [250, 63]}, 400, "not understood"),

@@ -15,8 +15,8 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack_capture.click_pages import segment_live
 from clothtrack_capture.mask_pictures import masked_picture, spread, write_mask_sheet
-from clothtrack_capture.segmentation_page import segment_live
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _spec = importlib.util.spec_from_file_location(
@@ -199,6 +199,6 @@ def look_through(page, address, how):
     assert page.ask("document.querySelectorAll('#grid figure').length") == 6
     assert page.ask(COUNT % "#grid figure img") > 500
     page.ask("document.querySelector('#keep').click()")
-    page.wait_for("document.querySelector('#words').textContent.includes('6 masks')")
+    page.wait_for("document.querySelector('#words').textContent.includes('masks are in')")
     assert all(url.startswith((address, "data:", "file:")) for url in page.requests())
     assert page.complaints() == []

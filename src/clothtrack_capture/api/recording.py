@@ -1,4 +1,4 @@
-"""Record from a connected camera."""
+"""Record from a connected camera, or import from other programs' files."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clothtrack.api.results import Result
+from clothtrack_capture.importing.import_options import ImportOptions
 
 if TYPE_CHECKING:
+    from clothtrack.files.progress import Progress
+    from clothtrack_capture.importing.import_report import ImportReport
     from clothtrack_capture.live_capture import DepthCamera
 
 
@@ -59,3 +62,32 @@ def record(
         return Result("", {"recording": output, "frames": 0}, (nothing,))
     count = len(recording.frames)
     return Result(f"{output}   ({count} frames)", {"recording": output, "frames": count})
+
+
+def import_recording(
+    source: Path | str,
+    recording: Path | str,
+    options: ImportOptions = ImportOptions(),  # noqa: B008
+    *,
+    progress: "Progress | None" = None,
+) -> "ImportReport":
+    """Make a recording from a ROS bag, a RealSense or Kinect file, or a folder of pictures.
+
+    The supported formats are ROS 2 (.mcap, .db3, folders), ROS 1 and RealSense (.bag, .db3), Azure
+    Kinect and Femto (.mkv), and folders in the style of TUM, Open3D and BOP. docs/import.md has a
+    table of each.
+
+    Args:
+        source: file or folder.
+        recording: folder to write; must not exist.
+        options: information about the source from the user.
+        progress: function called with the name, the frames done and the total frames.
+
+    Raises:
+        InvalidRecordingError: the source cannot be read.
+        InvalidConfigError: an option contradicts the source.
+        StorageError: the folder exists or the disk refuses.
+    """
+    from clothtrack_capture.importing.import_recording import import_recording as convert
+
+    return convert(Path(source), Path(recording), options, progress=progress)
