@@ -11,9 +11,9 @@ is in memory and goes through `ct.LiveTracker`:
   core would drop;
 - at the speed of the camera through `ct.LiveStream`, on the wall's clock.
 
-With `--recordings DIR --truth DIR` each recording there is tracked offline and live, with the
-pictures that one core drops, without and with a search, and the true errors of the labels are
-compared. Run with `OMP_NUM_THREADS=1`.
+With `--recordings DIR --truth DIR` each recording there is tracked live, with the pictures that one
+core drops, and offline, without and with a search, and the true errors of the labels are compared.
+Run with `OMP_NUM_THREADS=1`.
 
     python benchmarks/bench_live.py --json out/bench_live.json [--quick]
     python benchmarks/bench_live.py --json FILE --recordings out/world/recordings \
@@ -30,7 +30,7 @@ import gc
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,6 @@ import clothtrack as ct
 from clothtrack.geometry import quiet_warp
 from clothtrack.live.playback import pickers_at, play
 
-QUICK = ["search.method=none"]
 SOAK_EVERY = 500
 PARTS = ("observe", "predict", "align", "correct")
 
@@ -73,12 +72,10 @@ class Film:
             ),
         )
 
-    def tracker(self, settings: Sequence[str] = QUICK) -> ct.LiveTracker:
+    def tracker(self) -> ct.LiveTracker:
         """Return a tracker for its cloth."""
         recording = self.recording
-        return ct.LiveTracker(
-            recording.cloth, recording.cameras[0], table=recording.table, settings=settings
-        )
+        return ct.LiveTracker(recording.cloth, recording.cameras[0], table=recording.table)
 
     def turns(self, tracker: Any, index: int) -> None:
         """Begin and end actions as in the recording."""
@@ -125,16 +122,14 @@ def back_to_back(film: Film) -> tuple[list[Cost], float, ct.Run]:
     return costs, time.process_time() - start, ct.Run.of(tracked, film.recording)
 
 
-def on_a_core(film: Film, settings: Sequence[str] = QUICK) -> tuple[list[float], int, ct.Run]:
+def on_a_core(film: Film) -> tuple[list[float], int, ct.Run]:
     """Process pictures at the camera's speed on a clock of CPU time, always the newest one.
-
-    A search runs on another core and is awaited at the end.
 
     Returns:
         The latencies of all processed pictures but the first [s], the number of dropped pictures,
         and the run.
     """
-    tracker, latencies, free_s = film.tracker(settings), [], 0.0
+    tracker, latencies, free_s = film.tracker(), [], 0.0
     turns: list[int] = []
     for place, (index, arrives_s, next_s) in enumerate(_arrivals(film)):
         turns.append(index)
@@ -209,19 +204,18 @@ def case(vertex_count: int, rate: float, folder: Path) -> dict[str, Any]:
 
 
 def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
-    """Return true errors of the labels, offline and live on one core, without and with a search."""
+    """Return true errors of the labels, live on one core and offline, without and with a search."""
     rows = []
     for folder in sorted(path.parent for path in recordings.glob("*/recording.json")):
         film = Film.of(ct.read_recording(folder))
         known = ct.Truth.load(truth / f"{folder.name}.npz")
-        offline = ct.track(film.recording, settings=QUICK)
+        offline = ct.track(film.recording, settings=["search.method=none"])
         every, _, same = back_to_back(film)
         late, dropped, live = on_a_core(film)
         runs = {
             "offline_mm": offline,
             "live_mm": live,
             "offline_searched_mm": ct.track(film.recording),
-            "live_searched_mm": on_a_core(film, ())[2],
         }
         verdicts = {name.replace("_mm", "_verdict"): one.verdict.word for name, one in runs.items()}
         means = {name: _labels_mm(ct.evaluate(run, truth=known)) for name, run in runs.items()}
@@ -311,14 +305,14 @@ def table(rows: list[dict[str, Any]], compared: list[dict[str, Any]]) -> str:
             share = 100 * spread["dropped_share"]
             lines.append(f"  {name.replace('_', ' ')}: {_cell(spread)}, {share:.0f} % dropped")
     for row in compared:
-        names = ("offline_mm", "live_mm", "offline_searched_mm", "live_searched_mm")
+        names = ("offline_mm", "live_mm", "offline_searched_mm")
         labels = zip(*(row[name] for name in names), strict=True)
         words = ", ".join(" / ".join(f"{one:.2f}" for one in label) for label in labels)
         said = " / ".join(row[name.replace("_mm", "_verdict")] for name in names)
         same = "same bits" if row["same_bits_when_nothing_is_dropped"] else "OTHER BITS"
         lines.append(
             f"{row['recording']} ({row['vertices']} vertices, {100 * row['dropped_share']:.0f} % "
-            f"dropped): offline / live / both searched {words} mm, "
+            f"dropped): offline / live / offline searched {words} mm, "
             f"{said}; nothing dropped: {same}"
         )
     return "\n".join(lines) + "\n"

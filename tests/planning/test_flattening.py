@@ -23,7 +23,7 @@ from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
-from clothtrack_lab.baselines.flattening_policies import POLICIES
+from clothtrack_lab.flattening import POLICIES
 from clothtrack_lab.world.episodes import SMALL_WORLD
 from clothtrack_lab.world.simulated_episodes import (
     EpisodeParts,

@@ -64,7 +64,7 @@ _FAR_M = 0.04
 _LEAST_SHARE = 0.8
 """Share of the closed time that must fall on frames with the lag."""
 
-_LAG_FRAMES = 40
+LAG_FRAMES = 40
 """Number of frames used for the lag, spread over the actions; each costs some 30 ms."""
 
 
@@ -383,7 +383,7 @@ def _beside(
     if not recording.actions:
         return total, count
     first, last = recording.actions[0].first_frame, recording.actions[-1].last_frame
-    for frame in np.unique(np.linspace(first, last, _LAG_FRAMES).round().astype(int)).tolist():
+    for frame in np.unique(np.linspace(first, last, LAG_FRAMES).round().astype(int)).tolist():
         times = recording.frames[frame].time_s - lags
         for path in paths:
             closed = _closed(path, times)

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from franka_robot import FrankaConfig, FrankaRobot, FrankyArm, subdivided
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry.camera import Camera
-from clothtrack.planning.action_space import PickPlace, Workspace
-from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
-from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm
+from clothtrack.geometry import Camera
+from clothtrack.planning import PickPlace, Workspace
+from clothtrack.planning.robots import MotionLimits, PickPlaceRobot, RgbdFrame
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[:3, 3] = 0.5, 0.0, 0.8
@@ -66,7 +66,7 @@ def test_what_breaks_a_limit_moves_nothing(changes):
     arm = FakeArm()
     robot = robot_of(arm)
     action = replace(
-        GOOD, **{name: np.array(one) if name != "lift_m" else one for name, one in changes.items()}
+        GOOD, **{key: one if key == "lift_m" else np.array(one) for key, one in changes.items()}
     )
     assert not robot.check(action).reachable
     with pytest.raises(InvalidConfigError, match="refused before moving"):
@@ -75,7 +75,7 @@ def test_what_breaks_a_limit_moves_nothing(changes):
     assert not arm.fingers
 
 
-def test_without_leave_or_the_driver_nothing_moves(monkeypatch):
+def test_without_leave_nothing_moves():
     arm = FakeArm()
     robot = robot_of(arm, may_move=False)
     assert robot.check(GOOD).reachable
@@ -84,9 +84,6 @@ def test_without_leave_or_the_driver_nothing_moves(monkeypatch):
         robot.execute(GOOD)
     assert not arm.moves
     assert not arm.fingers
-    monkeypatch.setitem(sys.modules, "franky", None)
-    with pytest.raises(InvalidConfigError, match=r"install with: .*franka"):
-        FrankyArm("10.0.0.2")
 
 
 def test_a_good_action_keeps_to_the_limits_and_is_measured():
@@ -145,3 +142,17 @@ def test_a_fault_is_told_and_the_path_so_far_is_kept():
 def test_an_unsafe_cell_is_refused(changes, told):
     with pytest.raises(InvalidConfigError, match=told):
         FrankaConfig(**{"limits": LIMITS, **changes})
+
+
+def test_a_driver_that_is_missing_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "franky", None)
+    with pytest.raises(InvalidConfigError, match="pip install franky-control"):
+        FrankyArm("10.0.0.2")
+
+
+def test_a_way_is_cut_without_leaving_it():
+    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.05]])
+    cut = subdivided(points, 0.03)
+    assert np.linalg.norm(np.diff(cut, axis=0), axis=1).max() <= 0.03
+    for point in points:
+        assert np.linalg.norm(cut - point, axis=1).min() < 1e-12

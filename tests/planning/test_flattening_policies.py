@@ -6,7 +6,7 @@ import numpy as np
 
 from clothtrack.planning.action_space import ActionSpace, SeenCloth, Workspace, off_cloth
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack_lab.baselines.flattening_policies import POLICIES, farthest_corner
+from clothtrack_lab.flattening import POLICIES, farthest_corner
 
 
 def sheet():
