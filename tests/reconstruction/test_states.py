@@ -195,8 +195,9 @@ def test_the_verb_makes_states(
     words = ["simulate", str(tmp_path), "--garment", kind, "--states", "3", "--seed", "5"]
     sizes = ["vertex_count=150", "episodes=2", "crumpling.states=2", "crumpling.rest_limit_s=0.2"]
     assert cli.main([*words, *(word for one in sizes for word in ("--set", one))]) == 0
-    card, told = capsys.readouterr().out.split(maxsplit=1)
-    assert Path(card) == tmp_path / "README.md"
+    folder, told = capsys.readouterr().out.split(maxsplit=1)
+    assert Path(folder) == tmp_path
+    assert "4 states" in told
     assert "1 garments" in told
     found = open_states(tmp_path)
     assert (found.kind, found.document["seed"]) == (kind, 5)

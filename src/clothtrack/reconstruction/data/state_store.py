@@ -2,7 +2,6 @@
 
     OUT/states.json            settings, seed, versions, and the list of finished shards
     OUT/shards/0000.zarr       all states of one garment
-    OUT/README.md              the dataset card
 
 A shard is written under a temporary name and renamed, so a shard under its final name is complete.
 """
