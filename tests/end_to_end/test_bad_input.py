@@ -10,6 +10,12 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.recordings import read_recording, shipped_recording
 
+# What is tracked does not matter here: long substeps and few iterations.
+FAST = (
+    "--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3",
+    "--set", "objective.iterations=20",
+)  # fmt: skip
+
 
 def document(folder, change):
     path = folder / "recording.json"
@@ -165,7 +171,7 @@ def test_a_frame_without_cloth_in_the_middle_is_named(towels, tmp_path, capsys):
     for name in ("color", "depth"):
         picture = cv2.imread(str(folder / name / "000005.png"), cv2.IMREAD_UNCHANGED)
         cv2.imwrite(str(folder / name / "000005.png"), np.full_like(picture, picture.max()))
-    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
+    words = ["--output", str(tmp_path / "out"), *FAST]
     assert cli.main(["track", str(folder), *words]) == 1
     told = capsys.readouterr().err
     assert "no cloth is found in frame 5" in told
@@ -210,7 +216,7 @@ def test_a_pause_in_which_nothing_holds_the_cloth_is_cut(towels, tmp_path):
     source = towels / "recordings" / "towel_0001"
     last = read_recording(source).actions[-1].last_frame
     set_forward(source, tmp_path / "pause", last, 86400.0)
-    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
+    words = ["--output", str(tmp_path / "out"), *FAST]
     assert cli.main(["track", str(tmp_path / "pause"), *words]) == 0
 
 

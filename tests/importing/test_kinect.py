@@ -105,10 +105,9 @@ def test_lenses_against_the_formula():
 
 def test_binning_changes_the_pixels_not_the_rays():
     """Modes of the same crop see the same directions at the same places."""
-    for one, other in ((NARROW, (640, 576)), ((512, 512), (1024, 1024))):
-        coarse, fine = (kinect_intrinsics(FILM, text(), mode, None)[0] for mode in (one, other))
-        rays, finer = coarse.corner_rays(), fine.corner_rays()[::2, ::2]
-        assert np.allclose(rays, finer, atol=1e-4, equal_nan=True)
+    coarse, fine = (kinect_intrinsics(FILM, text(), mode, None)[0] for mode in (NARROW, (640, 576)))
+    rays, finer = coarse.corner_rays(), fine.corner_rays()[::2, ::2]
+    assert np.allclose(rays, finer, atol=1e-4, equal_nan=True)
 
 
 def test_what_breaks_off_is_saved(depth, tmp_path):

@@ -10,7 +10,6 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings.store import read_recording
 from clothtrack_lab.world import bench_generation
 from clothtrack_lab.world.bench import BenchTrajectory, trajectories
 from clothtrack_lab.world.bench_generation import generate_bench
@@ -134,12 +133,3 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("usual")
     film_tiny("none", out)
     return out
-
-
-def test_a_calibration_error_is_in_the_recording_alone(usual: Path, tmp_path: Path) -> None:
-    film_tiny("calibration", tmp_path)
-    wrong, right = (read_recording(out / "recordings" / "one") for out in (tmp_path, usual))
-    offset = wrong.cameras[0].position - right.cameras[0].position
-    assert np.linalg.norm(offset) == pytest.approx(0.005)
-    for mine, theirs in zip(wrong.frames, right.frames, strict=True):
-        assert mine.depth["top"].read_bytes() == theirs.depth["top"].read_bytes()
