@@ -40,11 +40,7 @@ class Board:
     dictionary: str = "4X4_50"
 
     def __post_init__(self) -> None:
-        """Refuse boards that cannot be printed.
-
-        Raises:
-            InvalidConfigError: with the field, its value and the limit.
-        """
+        """Refuse boards that cannot be printed."""
         if self.columns < 3 or self.rows < 3:
             raise InvalidConfigError(
                 f"a board of {self.columns} x {self.rows} squares; give at least 3 x 3"
@@ -75,9 +71,7 @@ class Board:
     def find(
         self, color: UInt8[np.ndarray, "height width 3"]
     ) -> tuple[Int[np.ndarray, " found"], Float[np.ndarray, "found 2"]]:
-        """Return the ids and pixels (column, row) of the corners seen in a picture.
-
-        Both arrays are empty if the board is not seen.
+        """Return the ids and pixels (column, row) of the corners seen in a picture, if any.
 
         Boards printed by old versions of OpenCV, whose first square is white, are recognized too.
         """
@@ -120,16 +114,7 @@ class BoardPose:
 def locate_board(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]], board: Board, camera: Camera
 ) -> BoardPose:
-    """Return the pose of a static board, estimated jointly from all pictures.
-
-    Args:
-        pictures: color pictures, red first, without lens distortion; some may not show the board.
-        board: the printed board.
-        camera: camera that took the pictures.
-
-    Raises:
-        InvalidRecordingError: the board is not found.
-    """
+    """Return the pose of a static board, estimated jointly from all pictures (red first)."""
     seen = [board.find(picture) for picture in pictures]
     ids = np.concatenate([one for one, _ in seen])
     pixels = np.concatenate([one for _, one in seen])

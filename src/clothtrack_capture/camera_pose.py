@@ -1,16 +1,13 @@
 """Calibration of a recording's camera poses from the table, a board or a robot."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.files.atomic_write import write_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.table_plane import TableFit, world_from_table
 from clothtrack.recordings.pictures import read_color, read_depth
@@ -193,11 +190,6 @@ def place_by_robot(
         table, said = _table_in(recording, camera, hand_eye.pose)
         text["table"] = said
     return CameraPlacement(camera.name, hand_eye.pose, table, text), hand_eye
-
-
-def save_placement(path: Path, placement: CameraPlacement) -> None:
-    """Write a placement as a JSON file, completely or not at all."""
-    write_file(path, (json.dumps(placement.as_dict(), indent=1) + "\n").encode())
 
 
 def place_camera(

@@ -90,8 +90,6 @@ def highest_cloth(
     Args:
         points: cloth points in one frame [m], world.
         heights: heights of the points above the table [m].
-        pick: one end of the line [m].
-        place: other end of the line [m].
     """
     forward, way_m = _direction(pick, place, up)
     along = (points - pick) @ forward

@@ -69,9 +69,6 @@ def read_robot_poses(path: Path) -> list[RobotPose]:
     """Read gripper poses in the robot's base, and the pictures taken there, from a CSV file.
 
     The header is `picture,x_m,y_m,z_m,qx,qy,qz,qw`. Picture paths are relative to the file.
-
-    Raises:
-        InvalidRecordingError: the file cannot be read or a row is invalid.
     """
     return [_pose(path, place, row) for place, row in read_csv(path, COLUMNS)]
 
@@ -86,12 +83,6 @@ def calibrate_hand_eye(
 
     Args:
         robot: base_from_gripper at each picture.
-        camera_from_board: pose of the board in each picture.
-        camera_on_hand: whether the camera moves with the gripper; otherwise the board does.
-
-    Raises:
-        InvalidRecordingError: there are too few poses, or they rotate too little to determine the
-            result.
     """
     if len(robot) < _LEAST_POSES:
         raise InvalidRecordingError(

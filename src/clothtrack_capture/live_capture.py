@@ -72,15 +72,7 @@ class ReplayedCamera:
     """A recording replayed as if it were a camera."""
 
     def __init__(self, recording: Recording, *, speed: float = 1.0) -> None:
-        """Play the first camera of a recording.
-
-        Args:
-            recording: recording with depth.
-            speed: factor on the recording's speed; infinite to replay without waiting.
-
-        Raises:
-            InvalidRecordingError: the camera has no depth.
-        """
+        """Play the first camera of a recording; at infinite speed without waiting."""
         self.camera = recording.cameras[0]
         self.depth_unit_m = recording.depth_units_m.get(self.camera.name, 0.001)
         self._speed = speed
@@ -105,9 +97,8 @@ class ReplayedCamera:
         """Do nothing; there is no device to release."""
 
 
-@dataclass
-class _CaptureState:
-    """The state of a capture.
+class CaptureWriter:
+    """A writer of frames with its own thread, so that the camera never waits.
 
     Attributes:
         dropped: number of frames that came faster than the disk could take them, or not after the
@@ -115,20 +106,8 @@ class _CaptureState:
         error: reason why writing stopped; empty while there is none.
     """
 
-    written: int = 0
-    dropped: int = 0
-    error: str = ""
-
-
-class CaptureWriter:
-    """A writer of frames with its own thread, so that the camera never waits."""
-
     def __init__(self, target: Path, source: DepthCamera, provenance: Mapping[str, Any]) -> None:
-        """Create the hidden folder.
-
-        Raises:
-            StorageError: the target or an unfinished capture of it exists, or the disk refuses.
-        """
+        """Create the hidden folder."""
         self._target, self.folder = Path(target), capture_folder(target)
         if self._target.exists():
             raise StorageError(f"{target} exists; delete it or record to another name")
@@ -137,7 +116,8 @@ class CaptureWriter:
                 f"{self.folder} is left of a broken capture; rename it to keep its frames, or "
                 "delete it"
             )
-        self._unit, self.state = source.depth_unit_m, _CaptureState()
+        self._unit = source.depth_unit_m
+        self.written, self.dropped, self.error = 0, 0, ""
         camera = source.camera
         names = ("name", "width", "height", "fx", "fy", "cx", "cy")
         self._document: dict[str, Any] = {
@@ -162,12 +142,12 @@ class CaptureWriter:
     def add(self, frame: CapturedFrame) -> None:
         """Add a frame; drop and count it if the disk is too far behind."""
         if frame.time_s <= self._last_s:
-            self.state.dropped += 1
+            self.dropped += 1
             return
         try:
             self._waiting.put_nowait(frame)
         except queue.Full:
-            self.state.dropped += 1
+            self.dropped += 1
         else:
             self._last_s = frame.time_s
 
@@ -176,22 +156,16 @@ class CaptureWriter:
         self._waiting.put(step)
 
     def finish(self) -> Recording:
-        """Write the waiting frames, and make a recording of all frames.
-
-        Raises:
-            StorageError: the disk refused; the frames before that stay in `folder`.
-            InvalidRecordingError: no frame was recorded, or a picture has another size.
-        """
+        """Write the waiting frames, and make a recording of all frames."""
         self._waiting.put(None)
         self._thread.join()
-        if self.state.error:
+        if self.error:
             with suppress(StorageError):
                 self._list_frames()
             raise StorageError(
-                f"{self.state.error}; then rename {self.folder} to keep the {self.state.written} "
-                "frames before"
+                f"{self.error}; then rename {self.folder} to keep the {self.written} frames before"
             )
-        if not self.state.written:
+        if not self.written:
             remove_folder(self.folder)
             raise InvalidRecordingError(f"{self._target}: no frame with depth was recorded")
         self._list_frames()
@@ -202,24 +176,24 @@ class CaptureWriter:
 
     def _write_all(self) -> None:
         while (frame := self._waiting.get()) is not None:
-            if self.state.error:
+            if self.error:
                 continue
             try:
                 if isinstance(frame, str):
-                    self._document["provenance"]["marks"].append([frame, self.state.written])
+                    self._document["provenance"]["marks"].append([frame, self.written])
                 else:
                     self._write(frame)
             except OSError as error:
-                self.state.error = str(StorageError.of(error))
+                self.error = str(StorageError.of(error))
             except ClothTrackError as error:
-                self.state.error = str(error)
+                self.error = str(error)
 
     def _write(self, frame: CapturedFrame) -> None:
-        index = self.state.written
+        index = self.written
         units = np.rint(np.nan_to_num(frame.depth_m, nan=0.0, posinf=0.0) / self._unit)
         depth = np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
         if not depth.any():
-            self.state.dropped += 1
+            self.dropped += 1
             return
         if index == 0:
             self._start_s = frame.time_s
@@ -231,7 +205,7 @@ class CaptureWriter:
                 file.parent.mkdir(exist_ok=True)
                 file.write_bytes(encode_png(picture))
         self._document["frames"].append(entry)
-        self.state.written += 1
+        self.written += 1
         if index % _LISTED_EVERY == 0:
             self._list_frames()
 

@@ -18,6 +18,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Recording
+from clothtrack.recordings.segmentation import ColorSegmenter
 from clothtrack_capture.amendment import set_actions
 from clothtrack_capture.picker_motion import (
     closed_by_gap,
@@ -27,8 +28,6 @@ from clothtrack_capture.picker_motion import (
 )
 from clothtrack_capture.tip_finder import (
     Tip,
-    TipFinder,
-    clicked_colors,
     learned_finder,
     tip_colors,
 )
@@ -64,18 +63,7 @@ def find_picker(
     *,
     name: str = "tip",
 ) -> PickerDetection:
-    """Return the path of a colored tip and its pick-and-places.
-
-    Args:
-        recording: recording with color, depth and a table.
-        camera: camera that sees the tip.
-        members: rough set of the tip's colors.
-        name: name of the picker.
-
-    Raises:
-        InvalidRecordingError: there is no table or no color, or the tip is hardly ever seen.
-        InvalidConfigError: much of every picture has the tip's color.
-    """
+    """Return the path of a tip of roughly these colors, and its pick-and-places."""
     if recording.table is None:
         raise InvalidRecordingError(
             f"{recording.folder}: without a table nobody knows when the tip is down; run "
@@ -118,7 +106,8 @@ def tip_members(
             f"{recording.folder}: there is no color picture of frame {frame} from camera "
             f"{camera.name!r}; click in a frame from 0 to {len(recording.frames) - 1}"
         )
-    return clicked_colors(read_color(recording.frames[frame].color[camera.name]), column, row)
+    color = read_color(recording.frames[frame].color[camera.name])
+    return ColorSegmenter.from_click(color, column, row).members
 
 
 def require_unmeasured(recording: Recording, *, force: bool) -> None:
@@ -181,7 +170,8 @@ def _watch_tip(
         tip = finder.find(color, depth, near=None if last is None else last.pixel, axis=axis)
         if tip is not None:
             # The tool turns slowly, so average the axis from depth over many frames.
-            axis = 0.8 * axis + 0.2 * _axis_by_depth(finder, color, depth)
+            alone = finder.find(color, depth)
+            axis = 0.8 * axis + 0.2 * (np.zeros(2) if alone is None else alone.axis)
             last = tip
         tips.append(tip)
     return tips
@@ -205,15 +195,6 @@ def nearest_visible_vertex(
     distance[~visible_vertices(cloth.vertices, cloth.faces, cameras)] = np.inf
     nearest = int(np.argmin(distance))
     return nearest if distance[nearest] <= radius_m else None
-
-
-def _axis_by_depth(
-    finder: TipFinder,
-    color: UInt8[np.ndarray, "height width 3"],
-    depth: Float[np.ndarray, "height width"],
-) -> Float[np.ndarray, " 2"]:
-    alone = finder.find(color, depth)
-    return np.zeros(2) if alone is None else alone.axis
 
 
 def _actions(

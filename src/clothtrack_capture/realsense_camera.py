@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterator
 from importlib import import_module
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -18,30 +18,11 @@ _WAIT_MS = 5000
 _NOTICEABLE_PX = 0.5
 
 
-@runtime_checkable
-class FrameSource(Protocol):
-    """A source of framesets: `rs.pipeline`, or `rs.syncer` behind a software device."""
-
-    def wait_for_frames(self, timeout_ms: int) -> Any:
-        """Return the next set of frames."""
-        ...
-
-
 class RealSenseCamera:
-    """A RealSense camera, or any other source of its framesets."""
+    """A RealSense camera: `rs.pipeline`, or `rs.syncer` behind a software device."""
 
-    def __init__(self, source: FrameSource, *, pipeline: Any = None, name: str = "top") -> None:
-        """Wait for the first frames to read the intrinsics.
-
-        Args:
-            source: source of framesets.
-            pipeline: pipeline to stop on closing, if any.
-            name: name of the camera in the recording.
-
-        Raises:
-            InvalidConfigError: pyrealsense2 is not installed.
-            InvalidRecordingError: no frames come, or they lack color or depth.
-        """
+    def __init__(self, source: Any, *, pipeline: Any = None, name: str = "top") -> None:
+        """Wait for the first frames to read the intrinsics; `close` stops the pipeline."""
         rs = _sdk()
         self._source, self._pipeline = source, pipeline
         self._align = rs.align(rs.stream.color)

@@ -90,8 +90,7 @@ class Session:
     def facts(self) -> dict[str, Any]:
         """Return the state that the page shows next to the preview."""
         with self._lock:
-            state = None if self._writer is None else self._writer.state
-            latest, arrivals = self._latest, self._arrivals
+            writer, latest, arrivals = self._writer, self._latest, self._arrivals
         rate = 0.0
         if len(arrivals) > 1:
             rate = (len(arrivals) - 1) / max(arrivals[-1] - arrivals[0], 1e-3)
@@ -100,12 +99,12 @@ class Session:
             "camera": f"{self._source.camera.width} x {self._source.camera.height}",
             "protocol": [{"name": name, "words": words} for name, words in PROTOCOL],
             "step": self.step,
-            "written": 0 if state is None else state.written,
-            "dropped": 0 if state is None else state.dropped,
+            "written": 0 if writer is None else writer.written,
+            "dropped": 0 if writer is None else writer.dropped,
             "rate": round(rate, 1),
             "ended": self.ended,
             "done": self.done,
-            "warnings": warnings_of(latest, "" if state is None else state.error),
+            "warnings": warnings_of(latest, "" if writer is None else writer.error),
         }
 
     def preview(self) -> Picture | None:

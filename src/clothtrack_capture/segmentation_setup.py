@@ -30,11 +30,7 @@ class SegmentationSetup:
     """
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
-        """Start with the cloth information that the recording already has, if any.
-
-        Raises:
-            InvalidRecordingError: the camera has no color pictures with depth.
-        """
+        """Start with the cloth information that the recording already has, if any."""
         self.recording, self.camera = recording, camera
         self.frames = tuple(
             frame
@@ -58,51 +54,26 @@ class SegmentationSetup:
         return self._learned is not None
 
     def choose_click(self, frame: int, point: Point) -> None:
-        """Learn the cloth from a click (column, row) on it in a frame.
-
-        Raises:
-            InvalidConfigError: there is no such frame or pixel, the patch looks like the rest, or
-                nothing that looks like it is cloth.
-        """
+        """Learn the cloth from a click (column, row) on it in a frame."""
         learned = ColorSegmenter.from_click(self.picture(frame), *point)
         self._learn(learned, frame, {"click": [*point]})
 
     def choose_box(self, frame: int, box: Box) -> None:
-        """Learn the cloth from a box (left, top, right, bottom) around it in a frame.
-
-        Raises:
-            InvalidConfigError: there is no such frame or box, its inside looks like the rest, or
-                nothing that looks like it is cloth.
-        """
+        """Learn the cloth from a box (left, top, right, bottom) around it in a frame."""
         learned = ColorSegmenter.from_box(self.picture(frame), box)
         self._learn(learned, frame, {"box": [*box]})
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the color picture of a frame, red first.
-
-        Raises:
-            InvalidConfigError: there is no such frame.
-            InvalidRecordingError: the picture cannot be read.
-        """
+        """Return the color picture of a frame, red first."""
         return read_color(self._frame(frame).color[self.camera.name])
 
     def mask(self, frame: int) -> Bool[np.ndarray, "height width"] | None:
-        """Return the cloth mask of a frame by the present choice; None if it cannot be determined.
-
-        Raises:
-            InvalidConfigError: there is no such frame.
-            InvalidRecordingError: a picture cannot be read.
-        """
+        """Return the cloth mask of a frame by the present choice; None if it is not known."""
         with self._lock:
             return self._masks(frame)
 
     def keep(self) -> Recording:
-        """Return the recording with the masks of all frames, written unless it is in memory.
-
-        Raises:
-            InvalidConfigError: nothing was chosen yet.
-            StorageError: the disk refuses; the recording stays as it was.
-        """
+        """Return the recording with the masks of all frames, written unless it is in memory."""
         with self._lock:
             if not self.chosen:
                 raise InvalidConfigError("nothing is chosen yet; click on the cloth, or give a box")

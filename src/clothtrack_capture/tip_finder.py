@@ -23,7 +23,6 @@ from clothtrack.recordings.colors import (
     named_set,
     votes_of,
 )
-from clothtrack.recordings.segmentation import ColorSegmenter
 
 LEAST_PIXELS = 8
 """Least number of surely tip-colored pixels; fewer are specks."""
@@ -75,13 +74,6 @@ def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
     return named_set(name)
 
 
-def clicked_colors(
-    color: UInt8[np.ndarray, "height width 3"], column: int, row: int
-) -> UInt8[np.ndarray, "32 32 32"]:
-    """Return the set of colors of the clicked patch."""
-    return ColorSegmenter.from_click(color, column, row).members
-
-
 class TipFinder:
     """A detector for a tip of known colors in the pictures of one camera."""
 
@@ -92,13 +84,7 @@ class TipFinder:
         *,
         background: Bool[np.ndarray, "height width"] | None = None,
     ) -> None:
-        """Store the colors to look for.
-
-        Args:
-            members: set of the tip's colors.
-            camera: camera that takes the pictures.
-            background: pixels that have the tip's color but do not belong to it.
-        """
+        """Look for these colors; `background` has them but does not belong to the tip."""
         self._members, self._camera = members, camera
         self._background = background
 
@@ -119,11 +105,9 @@ class TipFinder:
         near: Float[np.ndarray, " 2"] | None = None,
         axis: Float[np.ndarray, " 2"] | None = None,
     ) -> Tip | None:
-        """Return the tip in a picture; None if it is not seen.
+        """Return the tip in a picture (red first); None if it is not seen.
 
         Args:
-            color: color picture, red first.
-            depth_m: depth [m], 0 where nothing was measured.
             near: recent position of the tip [pixels]; pieces near it are preferred.
             axis: recent direction of its end, used in place of the direction from depth if it is
                 reliable.

@@ -87,7 +87,7 @@ def test_a_clock_that_stands_still_and_a_blind_camera_drop_the_frame(tmp_path):
         writer.add(picture(number))
     writer.add(replace(picture(3), depth_m=np.zeros((48, 64))))
     assert len(writer.finish().frames) == 3
-    assert writer.state.dropped == 3
+    assert writer.dropped == 3
 
 
 def test_nothing_recorded_leaves_nothing(tmp_path):
@@ -111,8 +111,8 @@ def test_a_disk_that_is_too_slow_drops_frames_and_counts_them(tmp_path, monkeypa
     monkeypatch.setattr(capture, "encode_png", lambda image: (time.sleep(0.02), slow(image))[1])
     writer = captured(tmp_path / "film", 20)
     recording = writer.finish()
-    assert len(recording.frames) + writer.state.dropped == 20
-    assert writer.state.dropped > 5
+    assert len(recording.frames) + writer.dropped == 20
+    assert writer.dropped > 5
 
 
 def test_a_full_disk_is_said_and_what_was_written_can_be_renamed(tmp_path, monkeypatch):
@@ -160,7 +160,7 @@ for number in range(100000):
     depth = np.full((48, 64), 0.5 + 0.001 * (number % 100))
     writer.add(CapturedFrame(number / 100.0, np.full((48, 64, 3), number % 256, np.uint8), depth))
     time.sleep(0.002)
-    print(writer.state.written, flush=True)
+    print(writer.written, flush=True)
 """
 
 

@@ -1,16 +1,22 @@
-"""A growing sequence of frames, with times in memory and pictures only while needed."""
+"""A growing sequence of frames, and the clouds of the newest from a thread of its own.
+
+Times are in memory, pictures only while needed.
+"""
 
 import os
 import tempfile
+import time
 import weakref
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import overload
 
 import numpy as np
 
 from clothtrack.recordings.frame_files import PICTURE_KINDS
+from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame
 
 
@@ -94,3 +100,37 @@ class GrowingFrames(Sequence[Frame]):
         size = int(np.prod(stored.shape)) * stored.dtype.itemsize
         data = bytearray(os.pread(self._file.fileno(), size, stored.offset))
         return np.frombuffer(data, stored.dtype).reshape(stored.shape)
+
+
+class Eyes:
+    """Source of the clouds; a thread observes the newest picture while the dynamics predict.
+
+    Attributes:
+        cloud: function that observes a frame; it needs the first frame.
+        spent_s: CPU time of the newest cloud [s].
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-eyes")
+        self._looks: dict[int, Future[Observation]] = {}
+        self.cloud: Callable[[Frame], Observation]
+        self.spent_s = 0.0
+
+    def begin(self, frame: Frame) -> None:
+        """Begin observing the newest frame."""
+        self._looks = {frame.index: self._thread.submit(self._look, frame)}
+
+    def observe(self, frame: Frame) -> Observation:
+        """Return the cloud of a frame; for the newest, wait for the thread."""
+        look = self._looks.pop(frame.index, None)
+        return self.cloud(frame) if look is None else look.result()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.shutdown()
+
+    def _look(self, frame: Frame) -> Observation:
+        start_s = time.thread_time()
+        seen = self.cloud(frame)
+        self.spent_s = time.thread_time() - start_s
+        return seen

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clothtrack.live.growing_recording import GrowingRecording
+from clothtrack.live.live_judge import LiveJudge
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.picker import (
     FARTHEST_LAG_S,
@@ -44,61 +45,50 @@ class HurriedCloth(HeldCloth):
         return replace(action, duration_s=share * action.duration_s, speed=action.speed / share)
 
 
+@dataclass(eq=False)
+class LiveParts:
+    """Method of a live tracker, with its state and records.
+
+    Attributes:
+        state: the cloth between actions; during an action, at its beginning.
+        gap_m: distance of the first mesh from its cloud [m].
+    """
+
+    components: Components
+    method: Method
+    state: State
+    theta: Theta
+    recorder: Recorder
+    judge: LiveJudge
+    gap_m: float | None
+    origin: Mapping[str, object]
+
+
 class LiveAction:
-    """Tracker of the action in progress, the latest of its recording."""
+    """Tracker of the action in progress, the latest of its recording.
+
+    Attributes:
+        held: what each picker holds or has held, with the paths of the beginning.
+    """
 
     def __init__(
-        self,
-        growing: GrowingRecording,
-        components: Components,
-        method: Method,
-        recorder: Recorder,
-        *,
-        state: State,
-        theta: Theta,
-        first: Frame,
-        by_gripper: bool,
+        self, growing: GrowingRecording, parts: LiveParts, first: Frame, *, by_gripper: bool
     ) -> None:
         """Begin with a frame in which the cloth lies still."""
-        begin_action(first, state, method)
-        self._growing, self._components = growing, components
-        self._method, self._recorder = method, recorder
-        self._first, self._start, self._theta = first, state, theta
+        begin_action(first, parts.state, parts.method)
+        self._growing, self._parts = growing, parts
+        self._start, self._theta = parts.state, parts.theta
         self._by_gripper, self._opened_s = by_gripper, np.inf
-        self._held, self._closed = HeldCloth((), np.zeros(3)), set[str]()
+        self.held, self._closed = HeldCloth((), np.zeros(3)), set[str]()
         self._paths: Mapping[str, PickerPath] = {}
         self._times_s: list[float] = []
         self._seen: list[tuple[float, Observation]] = []
         self._stride = 1
         self._place = len(growing.recording.actions) - 1
         action = growing.recording.actions[self._place]
-        self._notes = recorder.begin(action, Candidate(theta, self._held))
-        self._dyn = method.dynamics(theta)
-        self._tracked = Tracked(state, first, first)
-
-    @property
-    def state(self) -> State:
-        """Current state of the cloth."""
-        return self._tracked.state
-
-    @property
-    def first_frame(self) -> int:
-        """Number of the first frame."""
-        return self._first.index
-
-    @property
-    def tracked_frame(self) -> Frame:
-        """Last tracked frame."""
-        return self._tracked.frame
-
-    @property
-    def held(self) -> dict[str, tuple[int, ...]]:
-        """Vertices that each picker holds or has held, by its name."""
-        return self._held.held_vertices
-
-    def spent_s(self, frame: Frame) -> dict[str, float]:
-        """Return the CPU time of each step of a frame [s], by its name."""
-        return self._notes.spent_s(frame)
+        self.notes = parts.recorder.begin(action, Candidate(parts.theta, self.held))
+        self._dyn = parts.method.dynamics(parts.theta)
+        self.first, self.tracked = first, Tracked(parts.state, first, first)
 
     def grasp(self, frame: Frame, closed: set[str]) -> None:
         """Find the grasps of newly closed pickers, in the cloth at the start of the action."""
@@ -106,16 +96,16 @@ class LiveAction:
             return
         self._closed |= closed
         action = self._growing.change_action(self._place, pickers=self._closed)
-        span = PickAndPlace(self._first.index, frame.index, action.pickers)
-        self._held = self._components.pick(span, self._start, self._theta)
+        span = PickAndPlace(self.first.index, frame.index, action.pickers)
+        self.held = self._parts.components.pick(span, self._start, self._theta)
 
     def step(self, frame: Frame) -> None:
         """Track the cloth into the next frame."""
         grasps = self._grasps(self._growing.recording.picker_paths)
-        if frame.index > self._tracked.frame.index + 1:
+        if frame.index > self.tracked.frame.index + 1:
             grasps = HurriedCloth(grasps.grasps, grasps.offset)
-        self._tracked = track_frame(
-            self._dyn, self._tracked, grasps, frame, method=self._method, notes=self._notes
+        self.tracked = track_frame(
+            self._dyn, self.tracked, grasps, frame, method=self._parts.method, notes=self.notes
         )
 
     def note_seen(self, frame: Frame, seen: Observation) -> None:
@@ -130,7 +120,7 @@ class LiveAction:
 
     def stay(self, frame: Frame) -> None:
         """Keep the mesh unchanged in a frame that shows no cloth."""
-        self._notes.rest(frame, self.state)
+        self.notes.rest(frame, self.tracked.state)
 
     def is_over(self, frame: Frame, closed: set[str]) -> bool:
         """Return whether the cloth has had time to settle since the pickers opened."""
@@ -138,30 +128,31 @@ class LiveAction:
             self._opened_s = min(self._opened_s, frame.time_s)
         return frame.time_s - self._opened_s >= SETTLE_S - 1e-6
 
+    @property
     def let_go(self) -> bool:
         """Return whether the pickers have opened."""
         return bool(np.isfinite(self._opened_s))
 
     def announce_last(self, frame: int | None) -> None:
         """Set the last frame of the action before observing it; None: it is not known yet."""
-        last = self.first_frame if frame is None else frame
+        last = self.first.index if frame is None else frame
         self._growing.change_action(self._place, last_frame=last)
 
     def end(self, last: Frame) -> tuple[Theta, State] | None:
         """End the action with a tracked frame, and run its final alignment (TTO2)."""
-        count = last.index - self._first.index
+        count = last.index - self.first.index
         if count == 0:
             self._growing.drop_action(self._place)
             return None
         action = self._growing.change_action(self._place, last_frame=last.index)
-        tracked = self._notes.finished(self.state)
+        tracked = self.notes.finished(self.tracked.state)
         tracked = replace(
             tracked, action=action, candidate=Candidate(self._theta, self._grasps(self._paths)),
             positions=tracked.positions[:count],
         )  # fmt: skip
         return end_action(
-            self._growing.recording, tracked, self.state, Calibration.none(),
-            method=self._method, recorder=self._recorder,
+            self._growing.recording, tracked, self.tracked.state, Calibration.none(),
+            method=self._parts.method, recorder=self._parts.recorder,
         )  # fmt: skip
 
     def picker_lag(self) -> ClockLag | None:
@@ -179,5 +170,5 @@ class LiveAction:
 
     def _grasps(self, paths: Mapping[str, PickerPath]) -> HeldCloth:
         """Return the grasps with the current paths."""
-        grasps = [replace(one, path=paths[one.picker]) for one in self._held.grasps]
-        return replace(self._held, grasps=tuple(grasps))
+        grasps = [replace(one, path=paths[one.picker]) for one in self.held.grasps]
+        return replace(self.held, grasps=tuple(grasps))

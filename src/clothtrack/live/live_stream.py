@@ -3,8 +3,9 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -15,18 +16,6 @@ from clothtrack.live.live_tracker import LiveTracker
 
 STALL_S = 0.2
 """Time without data after which a camera or picker has stalled [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Arrival:
-    """Waiting picture with its arrival time."""
-
-    time_s: float
-    depth: np.ndarray
-    color: np.ndarray | None
-    mask: np.ndarray | None
-    picker: Picker | None
-    came_s: float
 
 
 class LiveStream:
@@ -42,7 +31,7 @@ class LiveStream:
         """Start the thread."""
         self._tracker, self._on_state = tracker, on_state
         self._change = threading.Condition()
-        self._waiting: _Arrival | None = None
+        self._waiting: tuple[float, tuple[Any, ...]] | None = None
         self._missed: list[tuple[float, Picker | None]] = []
         self._turns: list[Callable[[], None]] = []
         self._state: LiveState | None = None
@@ -89,13 +78,13 @@ class LiveStream:
             Exception: processing an earlier picture failed.
         """
         now_s = time.monotonic()
-        copies = [None if one is None else np.array(one) for one in (color, mask)]
-        arrival = _Arrival(time_s, np.array(depth), *copies, picker, now_s)
+        copies = [None if one is None else np.array(one) for one in (depth, color, mask)]
         with self._change:
             self._raise_if_over()
             if self._waiting is not None:
-                self._missed.append((self._waiting.time_s, self._waiting.picker))
-            self._waiting, self._camera_s = arrival, now_s
+                _, (missed_s, *_, missed_picker) = self._waiting
+                self._missed.append((missed_s, missed_picker))
+            self._waiting, self._camera_s = (now_s, (time_s, *copies, picker)), now_s
             self._picker_s |= dict.fromkeys(picker or {}, now_s)
             self._change.notify_all()
 
@@ -169,10 +158,9 @@ class LiveStream:
         for turn in turns:
             turn()
         if arrival is not None:
-            state = self._tracker.update(
-                arrival.time_s, arrival.depth, arrival.color, arrival.mask, arrival.picker
-            )
-            self._tell(replace(state, latency_s=time.monotonic() - arrival.came_s), stalled)
+            came_s, picture = arrival
+            state = self._tracker.update(*picture)
+            self._tell(replace(state, latency_s=time.monotonic() - came_s), stalled)
             with self._change:
                 self._busy = False
                 self._change.notify_all()

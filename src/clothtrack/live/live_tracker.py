@@ -6,9 +6,8 @@ parallel with the stream, and pictures may be missing.
 """
 
 import time
-from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cache
 from typing import Literal
 
@@ -19,8 +18,9 @@ from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasterizer
+from clothtrack.live.growing_frames import Eyes
 from clothtrack.live.growing_recording import GrowingRecording, Picker
-from clothtrack.live.live_action import LiveAction
+from clothtrack.live.live_action import LiveAction, LiveParts
 from clothtrack.live.live_judge import LiveJudge
 from clothtrack.live.live_state import LiveState
 from clothtrack.recordings.geometry_checks.picker import ClockLag
@@ -31,7 +31,7 @@ from clothtrack.tracking.configuration import InitialStateConfig, ModeName, RunC
 from clothtrack.tracking.configuration import mode as settings_of_mode
 from clothtrack.tracking.methods import METHODS, Components
 from clothtrack.tracking.pipeline import Judge, checked_initial_state, observer, provenance
-from clothtrack.tracking.protocols import Method, State, Watch
+from clothtrack.tracking.protocols import State, Watch
 from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -42,59 +42,6 @@ _CLOUDS_KEPT = 3
 _FOLLOWED_KEPT = 64
 """Number of frames with cached followed points. The final alignment of an action needs those of its
 last frame a moment later."""
-
-
-class _Eyes:
-    """Source of the clouds; a thread observes the newest picture while the dynamics predict.
-
-    Attributes:
-        cloud: function that observes a frame; it needs the first frame.
-        spent_s: CPU time of the newest cloud [s].
-    """
-
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-eyes")
-        self._looks: dict[int, Future[Observation]] = {}
-        self.cloud: Callable[[Frame], Observation]
-        self.spent_s = 0.0
-
-    def begin(self, frame: Frame) -> None:
-        """Begin observing the newest frame."""
-        self._looks = {frame.index: self._thread.submit(self._look, frame)}
-
-    def observe(self, frame: Frame) -> Observation:
-        """Return the cloud of a frame; for the newest, wait for the thread."""
-        look = self._looks.pop(frame.index, None)
-        return self.cloud(frame) if look is None else look.result()
-
-    def close(self) -> None:
-        """End the thread."""
-        self._thread.shutdown()
-
-    def _look(self, frame: Frame) -> Observation:
-        start_s = time.thread_time()
-        seen = self.cloud(frame)
-        self.spent_s = time.thread_time() - start_s
-        return seen
-
-
-@dataclass(eq=False)
-class _Parts:
-    """Method of a live tracker, with its state and records.
-
-    Attributes:
-        state: the cloth between actions; during an action, at its beginning.
-        gap_m: distance of the first mesh from its cloud [m].
-    """
-
-    components: Components
-    method: Method
-    state: State
-    theta: Theta
-    recorder: Recorder
-    judge: LiveJudge
-    gap_m: float | None
-    origin: Mapping[str, object]
 
 
 class LiveTracker:
@@ -133,9 +80,9 @@ class LiveTracker:
         )
         self._segmenter, self._device, self._watch = segmenter, device, watch
         self._keep_pictures, self._force = keep_pictures, force
-        self._eyes = _Eyes()
+        self._eyes = Eyes()
         self._finisher = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-final")
-        self._parts: _Parts | None = None
+        self._parts: LiveParts | None = None
         self._action: LiveAction | None = None
         self._over: tuple[LiveAction, Frame] | None = None
         self._final: Future[tuple[Theta, State] | None] | None = None
@@ -281,7 +228,7 @@ class LiveTracker:
             raise InvalidConfigError("there was no picture; nothing was tracked")
         parts = self._parts
         if self._action is not None:
-            self._end(self._action, self._action.tracked_frame)
+            self._end(self._action, self._action.tracked.frame)
         self._finish(wait=True)
         self._compare_clocks(wait=True)
         self._closed = True
@@ -308,7 +255,7 @@ class LiveTracker:
             tracked = replace(tracked, verdict_fields=verdict)
         return tracked, source
 
-    def _start(self, frame: Frame) -> _Parts:
+    def _start(self, frame: Frame) -> LiveParts:
         """Find the first mesh and create its method."""
         if self._find_table:
             self._growing.find_table()
@@ -325,13 +272,13 @@ class LiveTracker:
         )  # fmt: skip
         components = Components(
             recording, first.mesh, self._config, observe, first.positions, device
-        )  # fmt: skip
+        )
         made = METHODS[self._config.mode](components)
         recorder = Recorder(
             recording, first.mesh, made.state, components.visible, on_disk=True,
             watch=None if self._watch is None else self._show,
         )  # fmt: skip
-        return _Parts(
+        return LiveParts(
             components, recorder.timed(made.method), made.state, made.theta, recorder,
             LiveJudge(first.mesh, device), gap_m, first.origin,
         )  # fmt: skip
@@ -351,9 +298,9 @@ class LiveTracker:
         """
         closing = bool(closed - self._closed_before)
         action = self._action
-        if action is not None and action.let_go() and closing:
+        if action is not None and action.let_go and closing:
             # A picker closes again before the cloth has settled.
-            self._end(action, action.tracked_frame)
+            self._end(action, action.tracked.frame)
             self._finish(wait=True)
             action = None
         begins = self._begins or (closing and action is None)
@@ -365,18 +312,18 @@ class LiveTracker:
         return begins, ends
 
     def _track(
-        self, frame: Frame, parts: _Parts, closed: set[str], *, begins: bool, ends: bool
+        self, frame: Frame, parts: LiveParts, closed: set[str], *, begins: bool, ends: bool
     ) -> Observation | None:
         """Track the mesh into a frame; return its cloud, or None if no cloth is found."""
         action = self._action
-        self._growing.show_paths(frame.index if action is None else action.first_frame)
+        self._growing.show_paths(frame.index if action is None else action.first.index)
         self._spent_s = {}
         self._eyes.begin(frame)
         try:
             if action is not None:
                 action.grasp(frame, closed)
                 action.step(frame)
-                self._spent_s |= action.spent_s(frame)
+                self._spent_s |= action.notes.spent_s(frame)
             seen = self._eyes.observe(frame)
             if action is not None:
                 action.note_seen(frame, seen)
@@ -391,22 +338,19 @@ class LiveTracker:
         self._closed_before = closed
         return seen
 
-    def _begin(self, parts: _Parts, first: Frame, closed: set[str], seen: Observation) -> None:
+    def _begin(self, parts: LiveParts, first: Frame, closed: set[str], seen: Observation) -> None:
         """Begin an action with a frame, from the end state of the previous one."""
         self._finish(wait=True)
         by_gripper, self._begins, self._ends = not self._begins, False, False
         self._growing.show_paths(first.index)
-        self._action = LiveAction(
-            self._growing, parts.components, parts.method, parts.recorder,
-            state=parts.state, theta=parts.theta, first=first, by_gripper=by_gripper,
-        )  # fmt: skip
+        self._action = LiveAction(self._growing, parts, first, by_gripper=by_gripper)
         self._action.note_seen(first, seen)
         self._action.grasp(first, closed)
 
     def _end(self, action: LiveAction, last: Frame) -> None:
         """End an action with a frame; its final alignment runs in parallel with the stream."""
         assert self._parts is not None
-        self._parts.state = action.state
+        self._parts.state = action.tracked.state
         self._over, self._action, self._ends = (action, last), None, False
 
     def _finish(self, *, wait: bool) -> None:
@@ -444,11 +388,11 @@ class LiveTracker:
             self._action.stay(frame)
 
     def _state(
-        self, frame: Frame, parts: _Parts, seen: Observation | None, began_s: float
+        self, frame: Frame, parts: LiveParts, seen: Observation | None, began_s: float
     ) -> LiveState:
         """Return the state of the cloth in a frame."""
         components, action = parts.components, self._action
-        state = parts.state if action is None else action.state
+        state = parts.state if action is None else action.tracked.state
         positions = np.array(state.positions[0], np.float32)
         if action is None:
             self._show(components.recording, components.mesh, frame, positions)
@@ -469,7 +413,7 @@ class LiveTracker:
             acting=action is not None,
             settling=self._over is not None,
             picker_lag_s=0.0 if self._lag is None else self._lag.lag_s,
-            held={} if action is None else action.held,
+            held={} if action is None else action.held.held_vertices,
             latency_s=time.perf_counter() - began_s,
             spent_s=dict(self._spent_s),
             dropped=self._dropped,

@@ -1,5 +1,6 @@
 """Calibrate a recording's camera pose from the table, a board or a robot."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,13 +56,13 @@ def calibrate_camera(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: no table or board is found.
     """
+    from clothtrack.files.atomic_write import write_file
     from clothtrack_capture.amendment import opened_recording, place_of, reported
     from clothtrack_capture.board import Board
     from clothtrack_capture.camera_pose import (
         camera_named,
         place_camera,
         placement_doubt,
-        save_placement,
     )
 
     _refuse_contradictions(
@@ -78,7 +79,7 @@ def calibrate_camera(
     if output is None:
         changed = place_camera(source, placement, force=force)
     else:
-        save_placement(Path(output), placement)
+        write_file(Path(output), (json.dumps(placement.as_dict(), indent=1) + "\n").encode())
     place = place_of(recording)
     lines = [line for name, value in placement.fit.items() for line in _lines(name, value)]
     if output or not source.in_memory:

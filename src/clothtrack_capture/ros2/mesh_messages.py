@@ -4,7 +4,7 @@ import struct
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from clothtrack_capture.importing.messages import message_store
 
@@ -85,13 +85,6 @@ def vertex_cloud(
         row_step=points.nbytes, data=points.view(np.uint8), is_dense=True,
     )  # fmt: skip
     return bytes(message_store(cdr=True).serialize_cdr(message, POINT_CLOUD, little_endian=True))
-
-
-def corner_values(
-    values: Float[np.ndarray, "vertices channels"], faces: Int[np.ndarray, "faces 3"]
-) -> Float[np.ndarray, "corners channels"]:
-    """Return the vertex values at each corner of each triangle."""
-    return values[faces.ravel()]
 
 
 def _stamped(head: bytes, stamp_ns: int) -> bytes:

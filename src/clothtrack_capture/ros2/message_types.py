@@ -12,22 +12,11 @@ from cyclonedds.idl import types as idl
 
 from clothtrack_capture.importing.messages import message_store
 
-_BASES = {
-    "bool": bool,
-    "byte": idl.byte,
-    "char": idl.uint8,
-    "float32": idl.float32,
-    "float64": idl.float64,
-    "int8": idl.int8,
-    "int16": idl.int16,
-    "int32": idl.int32,
-    "int64": idl.int64,
-    "string": str,
-    "uint8": idl.uint8,
-    "uint16": idl.uint16,
-    "uint32": idl.uint32,
-    "uint64": idl.uint64,
-}
+_BASES = {"bool": bool, "string": str, "char": idl.uint8} | {
+    name: getattr(idl, name)
+    for name in ("byte", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)),
+                 "float32", "float64")
+}  # fmt: skip
 
 
 # Annotations do not use classes of this kind, because beartype rejects their self-description.

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import (
@@ -42,6 +42,23 @@ _CONFIGURATION = (
 )
 _CONFIGURING = threading.Lock()
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+
+
+_Own = TypeVar("_Own")
+
+
+class Closing:
+    """What is closed at the end of its block."""
+
+    def __enter__(self: _Own) -> _Own:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)

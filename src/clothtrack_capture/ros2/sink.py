@@ -1,7 +1,5 @@
 """Publication of tracked meshes on ROS 2 topics."""
 
-from types import TracebackType
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -11,15 +9,14 @@ from clothtrack_capture.ros2.mesh_messages import (
     MARKER,
     POINT_CLOUD,
     TriangleMarker,
-    corner_values,
     vertex_cloud,
 )
-from clothtrack_capture.ros2.participant import Participant
+from clothtrack_capture.ros2.participant import Closing, Participant
 
 _HIDDEN_ALPHA = 0.5
 
 
-class Ros2Sink:
+class Ros2Sink(Closing):
     """A publisher of meshes for RViz, and of their vertices for programs.
 
     The mesh is a Marker of triangles, colored by the expected error (blue to red, gray where it is
@@ -53,17 +50,6 @@ class Ros2Sink:
             self._cloud = self._participant.writer(_topic(cloud_topic, POINT_CLOUD))
         self.skipped = 0
 
-    def __enter__(self) -> "Ros2Sink":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def publish(
         self,
         stamp_ns: int,
@@ -84,9 +70,7 @@ class Ros2Sink:
         seen = np.ones(count, dtype=bool) if visible is None else visible
         rgb = np.where(np.isnan(error)[:, None], UNKNOWN, heat(error, self._error_limit_m))
         colors = np.column_stack([rgb, np.where(seen, 1.0, _HIDDEN_ALPHA)])
-        mesh = self._marker.encode(
-            stamp_ns, corner_values(positions, faces), corner_values(colors, faces)
-        )
+        mesh = self._marker.encode(stamp_ns, positions[faces.ravel()], colors[faces.ravel()])
         self.skipped += not self._mesh.write(mesh)
         if self._cloud is not None:
             cloud = vertex_cloud(stamp_ns, self._frame_id, positions, error, seen)

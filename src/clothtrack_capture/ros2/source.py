@@ -4,7 +4,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,7 +17,7 @@ from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.messages import decode, header_stamp_ns, intrinsics_of
 from clothtrack_capture.importing.topics import CAMERA_INFO, IMAGE, base_name, topic_list
 from clothtrack_capture.ros2.joining import PictureCounts, PictureQueue, Received
-from clothtrack_capture.ros2.participant import Participant, Publication, Reader
+from clothtrack_capture.ros2.participant import Closing, Participant, Publication, Reader
 from clothtrack_capture.ros2.robot_state import TF_STATIC, RobotState
 from clothtrack_capture.ros2.source_config import LivePicture, Ros2SourceConfig, Ros2Topics
 
@@ -52,7 +51,7 @@ _LOOK_AGAIN_S = 0.05
 _POLL_S = 0.002
 
 
-class Ros2Source:
+class Ros2Source(Closing):
     """A live source of a ROS 2 camera's pictures with the tool's pose; older ones are dropped.
 
     Iterating yields `LivePicture` objects, whose fields are the input of a live tracker's update.
@@ -108,17 +107,6 @@ class Ros2Source:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> "Ros2Source":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __iter__(self) -> Iterator[LivePicture]:
         """Yield pictures as they arrive."""
