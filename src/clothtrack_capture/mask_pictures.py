@@ -9,8 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from clothtrack.files.atomic_write import write_file
 from clothtrack.recordings.pictures import encode_png
-from clothtrack.report.lettering import Picture, caption
-from clothtrack.report.palette import HIDDEN, PAPER, rgb255
+from clothtrack.report.palette import HIDDEN, PAPER, Picture, caption, rgb255
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _JPEG_QUALITY = 88
