@@ -26,8 +26,7 @@ from shared.figures import say, write_png
 from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import Camera, quiet_warp
 from clothtrack.recordings import Recording, read_color, read_recording
-from clothtrack.report.lettering import caption, heat_legend
-from clothtrack.report.palette import INK, PAPER, heat, rgb255
+from clothtrack.report.palette import INK, PAPER, caption, heat, heat_legend, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.viewpoint import three_quarter_view
 

@@ -22,9 +22,8 @@ from clothtrack.live.playback import pickers_at
 from clothtrack.recordings import Recording, read_recording, shipped_recording
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.report import Overlay, OverlayConfig
-from clothtrack.report.lettering import caption
 from clothtrack.report.overlay import scene_view
-from clothtrack.report.palette import PAPER, rgb255
+from clothtrack.report.palette import PAPER, caption, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.tracking import TrackedTrajectory
 

@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry import Camera, ClothMesh, Rasterizer
 from clothtrack.recordings.segmentation import height_picture
-from clothtrack.report.lettering import caption
-from clothtrack.report.palette import PAPER, rgb255
+from clothtrack.report.palette import PAPER, caption, rgb255
 from real.topdown import RealPicture
 
 Picture = UInt8[np.ndarray, "height width 3"]

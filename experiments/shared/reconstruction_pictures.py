@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry import Camera, ClothMesh
 from clothtrack.recordings import Table
-from clothtrack.report.lettering import caption, write
-from clothtrack.report.palette import PAPER, rgb255
+from clothtrack.report.palette import PAPER, caption, rgb255, write
 from clothtrack.report.shading import Shader, ShadingConfig
 
 Picture = UInt8[np.ndarray, "height width 3"]

@@ -13,8 +13,7 @@ from clothtrack.files.atomic_write import write_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import encode_png, read_mask
 from clothtrack.recordings.recording import Recording
-from clothtrack.report.lettering import Picture, caption
-from clothtrack.report.palette import HIDDEN, PAPER, rgb255
+from clothtrack.report.palette import HIDDEN, PAPER, Picture, caption, rgb255
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _JPEG_QUALITY = 88

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.recordings.recording import Recording
-from clothtrack.report.lettering import Picture
 from clothtrack.report.local_page import serving, wait_for
-from clothtrack.report.palette import PAPER, heat, rgb255
+from clothtrack.report.palette import PAPER, Picture, heat, rgb255
 from clothtrack_capture.click_pages import page_of
 from clothtrack_capture.live_capture import CapturedFrame, CaptureWriter, DepthCamera
 

@@ -77,12 +77,6 @@ def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(napkin, tmp_
     assert not (tmp_path / "plan").exists()
 
 
-def test_the_truth_is_not_to_be_had_in_a_dry_run(napkin, tmp_path, capsys):
-    words = ["flatten", str(tmp_path / "plan"), "--perception", "truth"]
-    assert cli.main([*words, "--recording", str(napkin)]) == 1
-    assert "only the simulated robot" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_dynamics_are_made_and_trained_by_one_call(tmp_path):
     settings = (

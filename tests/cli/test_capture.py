@@ -35,14 +35,6 @@ def test_calibrate_camera_writes_the_recording(table_film, capsys):
     assert recording.table is not None
 
 
-def test_hand_eye_wants_a_board(table_film, tmp_path, capsys):
-    words = ["calibrate-camera", str(table_film), "--robot-poses", str(tmp_path / "poses.csv")]
-    assert cli.main(words) == 2
-    assert "--charuco" in capsys.readouterr().err
-    assert cli.main([*words, "--charuco", "7", "5", "0.03", "0.02"]) == 1
-    assert "poses.csv" in capsys.readouterr().err
-
-
 def test_a_click_beside_the_cloth_is_told_in_one_line(tmp_path, capsys):
     sheet = tmp_path / "masks.png"
     words = ["segment", str(shipped_recording()), "--click", "3", "3", "--sheet", str(sheet)]

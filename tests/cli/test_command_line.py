@@ -113,16 +113,6 @@ def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code,
     assert shown.out == ""
 
 
-def test_a_value_of_any_length_leaves_the_file_and_the_next_step_in_sight(monkeypatch, capsys):
-    fail = raising(InvalidRecordingError(f"a.json: kind is {'x' * 5_000}; write towel"))
-    monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
-    assert cli.main(["fail"]) == 1
-    shown = capsys.readouterr().err
-    assert len(shown) < 1_100
-    assert shown.startswith("clothtrack: a.json: kind is x")
-    assert shown.endswith("x; write towel\n")
-
-
 def test_a_defect_of_ours_is_not_hidden(monkeypatch):
     fail = raising(ZeroDivisionError())
     monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
@@ -184,11 +174,3 @@ def test_track_lists_what_can_be_set_without_tracking(tmp_path, monkeypatch, cap
     assert cli.main(["flatten", "out", "--policy", "random", "--show-settings"]) == 0
     assert "policy=random" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
-
-
-def test_a_verb_computes_on_one_thread_unless_it_is_told_otherwise(monkeypatch, capsys):
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
-    assert cli.main(["inspect", "nowhere"]) == 1
-    capsys.readouterr()
-    assert (os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]) == ("1", "3")

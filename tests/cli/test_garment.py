@@ -40,16 +40,6 @@ def test_a_color_picture_becomes_a_template_and_its_outline_is_drawn(tmp_path, c
     assert np.allclose(read_template(as_obj).canonical, mesh.canonical)
 
 
-def test_a_hem_that_is_drawn_together_is_not_flat(tmp_path, capsys):
-    for hem, warned in ((1.0, False), (0.5, True)):
-        shown = picture(tmp_path / "flat.png", hem=hem)
-        words = ["garment", str(shown), "--kind", "tshirt", "--meters-per-pixel", "0.002"]
-        assert cli.main([*words, "--output", str(tmp_path / "shirt.npz")]) == 0
-        told = capsys.readouterr().err
-        assert ("does not lie flat" in told) == warned
-        assert told.count("\n") == warned
-
-
 def test_a_recording_becomes_a_template_of_the_size_that_it_states(tmp_path, capsys):
     words = ["garment", str(shipped_recording()), "--kind", "tshirt", "--json"]
     assert cli.main([*words, "--output", str(tmp_path / "shirt.npz")]) == 0

@@ -6,7 +6,7 @@ import select
 
 import pytest
 
-from clothtrack.cli.progress_line import LOGGED_S, ProgressLine, duration
+from clothtrack.cli.progress_line import ProgressLine, duration
 from clothtrack.files.progress import one_of
 
 
@@ -78,16 +78,6 @@ def test_a_pipe_has_sparse_lines_that_get_rarer(clock, log):
     assert 50 < len(lines) < 200
     assert lines[0].endswith("24.0 h left  step")
     assert not set("\r\x1b") & set(written())
-
-
-def test_short_work_leaves_nothing_in_a_pipe(clock, log):
-    stream, written = log
-    line = ProgressLine(stream, clock)
-    for done in range(100):
-        clock.now = 0.99 * LOGGED_S * done / 100
-        line("step", done, 100)
-    line.clear()
-    assert not written()
 
 
 def test_a_thing_among_several_is_told_as_a_part_of_all():

@@ -16,13 +16,6 @@ from clothtrack.version import __version__
 VERBS = {name: load() for name, load in cli.VERBS.items()}
 
 
-def helped(verb, capsys):
-    with pytest.raises(SystemExit) as end:
-        cli.main([verb, "--help"])
-    assert end.value.code == 0
-    return capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -66,15 +59,6 @@ def test_what_a_terminal_cannot_show_is_escaped(monkeypatch):
     assert shown.getvalue() == rb"Z\xfcrich \ud800" + b"\n"
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_help_says_nothing_empty(verb, capsys):
-    text = helped(verb, capsys)
-    for empty in ("(default: )", "None", "''", "(default: True)", "(default: False)"):
-        assert empty not in text
-    assert "--verbose" in text
-    assert "--json" in text
-
-
 def test_the_version_comes_with_commit_devices_and_packages(capsys):
     assert cli.main(["--version"]) == 0
     said = capsys.readouterr().out
@@ -86,18 +70,6 @@ def test_the_version_comes_with_commit_devices_and_packages(capsys):
     assert found["clothtrack"] == __version__
     assert "commit" in found
     assert found["devices"][0] == "cpu"
-
-
-def test_a_defect_of_ours_is_not_taken_for_wrong_usage(monkeypatch):
-    """What parses options takes a ValueError for a wrong one."""
-
-    def fail() -> None:
-        """Fail."""
-        raise ValueError("ours")
-
-    monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
-    with pytest.raises(ValueError, match="ours"):
-        cli.main(["fail"])
 
 
 def test_one_cause_is_one_warning_and_a_count(capsys):

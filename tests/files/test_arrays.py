@@ -79,17 +79,3 @@ def test_nothing_is_written_after_the_disk_was_full():
         put_array(group, "values", np.ones((50, 3)), chunks=(1, 3))
     time.sleep(0.2)
     assert disk.refused == 1
-
-
-@pytest.mark.parametrize(
-    ("values", "chunks"),
-    [
-        (np.arange(24).reshape(4, 3, 2), (1, 2, 2)),
-        (np.zeros((0, 3)), None),
-        (np.array(5), None),
-    ],
-)
-def test_what_was_put_is_taken(values, chunks):
-    group = zarr.open_group(MemoryStore(), mode="w")
-    put_array(group, "part/values", values, chunks=chunks)
-    np.testing.assert_array_equal(take_array(group, "part/values"), values)

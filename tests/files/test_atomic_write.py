@@ -11,7 +11,6 @@ from clothtrack.files.atomic_write import (
     clear_leftovers,
     hidden_name,
     name_problem,
-    storage,
     write_file,
 )
 
@@ -82,14 +81,6 @@ def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
         _break_off(atomic_folder, tmp_path / "result")
     assert len(calls) == 3
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("number", "remedy"), [(errno.ENOSPC, "disk is full"), (errno.ENOTEMPTY, "in the way")]
-)
-def test_what_the_system_says_comes_with_a_remedy(number, remedy, tmp_path):
-    with pytest.raises(StorageError, match=rf"result: .*{remedy}"), storage(tmp_path / "result"):
-        raise OSError(number, "what the system says")
 
 
 def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):

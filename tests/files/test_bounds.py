@@ -69,9 +69,3 @@ def test_a_value_outside_is_refused_with_its_name_and_its_limit(field, value, li
     with pytest.raises(InvalidConfigError) as refused:
         replace(LineSearchConfig(), **{field: value})
     assert str(refused.value) == f"line_search.{field} is {value!r}; {limit}"
-
-
-@pytest.mark.parametrize("value", [(1.0,), (1, 2, 3), "ab", (None, 1), (0.2, 0.1), (0, 1e308), 3])
-def test_what_is_no_pair_of_numbers_in_order_is_no_interval(value):
-    assert not Interval(least=0, empty=True, most=10).holds(value)
-    assert str(Interval(least=0, most=10)) == "it must be (low, high) with 0 <= low < high <= 10"

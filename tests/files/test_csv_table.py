@@ -8,13 +8,6 @@ from clothtrack.files.csv_table import NUMBER, Column, filled, read_csv
 COLUMNS = {"time_s": NUMBER, "name": Column(filled, "name it")}
 
 
-def test_rows_come_as_values_with_their_place(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("\ufefftime_s, name\n1.5, a\n\n2,b\n", encoding="utf-8")
-    rows = list(read_csv(path, COLUMNS))
-    assert rows == [(f"{path}: line 2", [1.5, "a"]), (f"{path}: line 4", [2.0, "b"])]
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -39,13 +39,6 @@ def test_an_editable_copy_is_extended_where_its_checkout_lies(installed, tmp_pat
     ]  # fmt: skip
 
 
-def test_a_copy_from_a_wheel_is_extended_from_that_file(installed, tmp_path):
-    wheel = tmp_path / "clothtrack-0.1.0-py3-none-any.whl"
-    wheel.touch()
-    installed({"url": wheel.as_uri(), "archive_info": {}})
-    assert shlex.split(install_command("learn"))[3:] == ["install", f"{wheel}[learn]"]
-
-
 @pytest.mark.parametrize(
     "origin",
     [None, {"url": "file:///no/such/folder", "dir_info": {}}, {"url": "https://example.org/c.whl"}],

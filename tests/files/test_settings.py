@@ -95,14 +95,6 @@ def test_every_listed_setting_can_be_given_back_as_it_is_written():
     assert with_settings(Told(), words) == Told()
 
 
-@pytest.mark.parametrize("text", ["9" * 5000, "[" * 5000])
-def test_what_json_cannot_read_is_a_text(text):
-    assert with_settings(Outer(), [f"inner.kind={text}"]).inner.kind == text
-    with pytest.raises(InvalidConfigError, match="cannot replace 3") as refused:
-        with_settings(Outer(), [f"inner.count={text}"])
-    assert len(str(refused.value)) < 300
-
-
 def test_a_limit_is_told_of_the_setting_as_it_was_written():
     @dataclass(frozen=True)
     class PieceRanges(Checked):

@@ -3,7 +3,6 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.first_mesh import symmetries
 from clothtrack_lab.published_networks.canonical_frame import (
     LARGEST_SIZE_M,
     canonical_frame,
@@ -30,24 +29,6 @@ def test_the_cube_has_room_for_every_garment_of_the_benchmark():
     assert max(ranges.towel_side_m) <= min(LARGEST_SIZE_M["towel"])
     assert ranges.tshirt_width_m[1] <= LARGEST_SIZE_M["tshirt"][0]
     assert ranges.tshirt_length_m[1] <= LARGEST_SIZE_M["tshirt"][1]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_symmetries_are_a_group_of_turns(kind):
-    signs = symmetries(kind)
-    assert (signs[0] == 1).all()
-    assert (signs.prod(axis=1) == 1).all()
-    members = {tuple(one) for one in signs}
-    assert {tuple(a * b) for a in signs for b in signs} == members
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_symmetry_maps_the_outline_of_the_garment_onto_itself(kind):
-    mesh = garment(kind, vertex_count=600)
-    for signs in symmetries(kind):
-        moved = mesh.canonical * signs
-        np.testing.assert_allclose(moved.min(axis=0), mesh.canonical.min(axis=0), atol=2e-3)
-        np.testing.assert_allclose(moved.max(axis=0), mesh.canonical.max(axis=0), atol=2e-3)
 
 
 def test_a_towel_has_its_longer_side_along_x_and_keeps_its_face():

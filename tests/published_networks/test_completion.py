@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -9,7 +7,6 @@ from clothtrack_lab.published_networks.completion import (
     Completion,
     ObservedPoints,
     WarpField,
-    in_box,
     sample,
     scatter_max,
 )
@@ -104,14 +101,3 @@ def test_places_stay_exact_in_half_precision():
     places = torch.linspace(0.1, 0.9, 401)
     queries = torch.stack([places, places, places], dim=1)[None]
     np.testing.assert_allclose(sample(ramp, queries)[0, :, 0], 32 * places, atol=1e-3)
-
-
-def test_a_flat_volume_reads_what_a_whole_one_does():
-    """The same field in a cube and in its middle quarter: the same answers inside."""
-    whole = torch.rand(1, 3, 16, 16, 16)
-    config = replace(TINY, volume=16, volume_depth=4)
-    rng = np.random.default_rng(0)
-    # Between the centers of its outermost cells: beyond them a flat volume goes on as it ends.
-    queries = torch.from_numpy(rng.uniform(0.41, 0.59, (1, 50, 3))).float()
-    read = sample(whole[..., 6:10], in_box(queries, config))
-    torch.testing.assert_close(read, sample(whole, queries))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.errors import InvalidResultError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasterizer
@@ -54,10 +54,3 @@ def test_labels_of_two_kinds_are_refused():
     other = LabeledRecording("x", "tshirt", one.mesh, one.frames, one.pictures)
     with pytest.raises(InvalidResultError, match="towel, tshirt"):
         PseudoLabelExamples([one, other], NETWORK, CONFIG)
-
-
-def test_labels_on_a_shirt_whose_layers_are_one_place_are_refused():
-    one = labeled()
-    flat = LabeledRecording("x", "tshirt", one.mesh, one.frames, one.pictures)
-    with pytest.raises(InvalidConfigError, match="front and back are one place"):
-        PseudoLabelExamples([flat], NETWORK, CONFIG)

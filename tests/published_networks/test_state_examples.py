@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_store import StateShard, open_states, write_states
+from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.data.view import crop
 from clothtrack_lab.published_networks.examples import ExampleConfig, Garment, draw_example
 from clothtrack_lab.published_networks.network_config import NetworkConfig
@@ -117,44 +117,7 @@ def test_an_example_is_a_function_of_index_epoch_and_seed(shirts):
     assert not np.array_equal(one.depth, other[2, 1].depth)
 
 
-def test_a_label_far_from_the_mesh_is_cut():
-    mesh = garment("towel", vertex_count=600)
-    labels = Garment.of(mesh, "towel", CONFIG.winding, seed=0)
-    flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
-    picture = render(flat, mesh, PERFECT, np.random.default_rng(1))
-    half = np.zeros_like(picture.mask)
-    half[: len(half) // 2] = True
-    raised = picture.depth_m - np.where(half, 0.03, 0.0)
-    moved = type(picture)(raised, picture.mask, picture.camera, picture.faces, picture.positions)
-    config = ExampleConfig(cut_m=0.02, winding=CONFIG.winding)
-    example = draw_example(moved, labels, NETWORK, config, np.random.default_rng(0))
-    high = example.points[:, 2] > 0.02
-    assert 0.2 < high.mean() < 0.8
-    assert not example.labeled[high].any()
-    assert example.labeled[~high].mean() > 0.9
-    assert (example.unit[~example.labeled] == 0.0).all()
-
-
 def test_states_of_two_kinds_are_refused(shirts, tmp_path):
     towels = states(tmp_path / "towels", "towel", shards=1)
     with pytest.raises(InvalidConfigError, match="towel, tshirt"):
         StateExamples([shirts, towels], NETWORK)
-
-
-def test_a_state_that_cannot_be_rendered_is_replaced_by_another(tmp_path):
-    mesh = garment("towel", vertex_count=300)
-    # All vertices within a tenth of a millimeter: no camera measures cloth there.
-    nothing = (1e-4 * np.asarray(mesh.vertices) + [0.0, 0.0, 0.005]).astype(np.float32)
-    whole = crumpled(mesh).astype(np.float32)
-    for name, positions in (("one", [nothing, whole, whole, whole]), ("all", [nothing] * 4)):
-        shard = StateShard("towel", mesh, np.stack(positions), np.arange(4), ("drop",) * 4, 0)
-        write_states(tmp_path / name, "towel", [shard], {})
-    one, every = (
-        StateExamples([open_states(tmp_path / name)], NETWORK, CONFIG, rendering=PERFECT, seed=2)
-        for name in ("one", "all")
-    )
-    example = one[0, 0]
-    assert np.ptp(example.positions, axis=0).max() > 0.2
-    np.testing.assert_array_equal(example.depth, one[0, 0].depth)
-    with pytest.raises(InvalidRecordingError, match=r"0000\.zarr, state \d: camera 'top'"):
-        every[0, 0]

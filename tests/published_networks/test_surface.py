@@ -90,16 +90,6 @@ def normals(mesh):
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
-def test_only_the_biggest_piece_is_kept(garment_and_field):
-    kind, _, field = garment_and_field
-    frame = canonical_frame(kind)
-    alone = extract_surface(field, frame, SMALL).mesh
-    speck = field.copy()
-    speck[1:4, 1:4, 1:4] += 2.0
-    both = extract_surface(speck, frame, SMALL).mesh
-    np.testing.assert_allclose(both.vertices, alone.vertices)
-
-
 @pytest.mark.parametrize("kind", ["tshirt", "towel"])
 def test_an_empty_field_has_no_surface_and_says_so(kind):
     frame = canonical_frame(kind)

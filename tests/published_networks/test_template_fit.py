@@ -3,17 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.garments.garment_meshes import garment, towel
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.view import points_of
 from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.reconstruction.smoothness import smoothness_matrix
 from clothtrack.recordings.recording import Table
-from clothtrack_lab.published_networks.canonical_frame import canonical_frame
 from clothtrack_lab.published_networks.template_fit import (
     TemplateFitConfig,
     fit_template,
-    template_of,
 )
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
@@ -96,14 +94,3 @@ def test_a_flat_sheet_bends_nowhere_however_it_lies(pattern, rng):
     assert np.abs(bends @ moved).max() < 1e-9
     curved = mesh.vertices + [0, 0, 1] * (5 * mesh.vertices[:, :1] ** 2)
     assert np.abs(bends @ curved).max() > 1e-4
-
-
-@pytest.mark.parametrize("kind", ["towel", "tshirt"])
-def test_the_size_is_read_from_the_canonical_coordinates(kind):
-    size = {"towel": (0.26, 0.32), "tshirt": (0.54, 0.41)}[kind]
-    canonical = garment(kind, vertex_count=2000, size_m=size).canonical
-    seen = SeenPoints(np.zeros_like(canonical), canonical, np.ones(len(canonical)))
-    found = template_of(canonical_frame(kind), seen)
-    np.testing.assert_allclose(np.ptp(found.vertices[:, :2], axis=0), size, rtol=0.08)
-    known = template_of(canonical_frame(kind), seen, size_m=(0.3, 0.3), vertex_count=300)
-    np.testing.assert_allclose(np.ptp(known.vertices[:, :2], axis=0), 0.3, rtol=0.01)

@@ -15,11 +15,9 @@ from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording, write_labels
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.training.checkpoint import (
-    load_progress,
     load_weights,
     save_weights,
 )
-from clothtrack.reconstruction.training.training_run import PROGRESS
 from clothtrack_lab.published_networks.model import MeshReconstructor, network_of
 from clothtrack_lab.published_networks.network_config import PRESETS, TINY_NETWORK, preset
 from clothtrack_lab.published_networks.published_config import (
@@ -162,13 +160,3 @@ def test_the_paper_preset_is_the_paper():
     assert training_preset("finetune", "completion").patience > 0
     with pytest.raises(InvalidConfigError, match="paper"):
         training_preset("papier", "completion")
-
-
-def test_more_epochs_go_on_from_the_progress_of_fewer(towels):
-    words = [*PRETRAIN, str(towels / "states"), "--output", str(towels / "run")]
-    assert cli.main([*words, *settings()]) == 0
-    assert cli.main([*words, *settings("canonicalisation.epochs=3", "completion.epochs=3")]) == 0
-    for stage, batch_size in (("canonicalisation", 8), ("completion", 4)):
-        progress = load_progress(towels / "run" / stage / PROGRESS)
-        # Seven of the eight states are learned from.
-        assert progress["step"] == 3 * (7 // min(batch_size, 7))

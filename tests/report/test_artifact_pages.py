@@ -9,7 +9,6 @@ from clothtrack.report.artifact_pages import (
     IndexEntry,
     summary_of,
     write_index,
-    write_mesh_page,
     write_recording_page,
 )
 
@@ -28,14 +27,6 @@ def test_a_recording_without_cloth_is_refused(clouds_only, tmp_path):
     bare = tuple(replace(one, cloud=None) for one in clouds_only.frames)
     with pytest.raises(InvalidRecordingError, match="no cloth was found in any frame"):
         write_recording_page(replace(clouds_only, frames=bare), tmp_path / "r.html")
-
-
-def test_a_mesh_is_colored_by_the_error_that_its_file_keeps(tracked, tmp_path):
-    errors = np.linspace(0.0, 0.04, tracked.mesh.vertex_count)
-    path = write_mesh_page(tracked.mesh, "m", tmp_path / "m.html", expected_error_m=errors)
-    text = path.read_text(encoding="utf-8")
-    assert '<option value="expected"' in text
-    assert "20 <small>mm, mean</small>" in text
 
 
 def test_an_index_begins_with_the_largest_expected_error(tracked, two_cameras, tmp_path):

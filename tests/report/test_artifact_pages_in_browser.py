@@ -30,11 +30,6 @@ READY = "document.body?.dataset.ready === 'yes'"
 STEP = "document.querySelector('canvas').dataset.step"
 TOLD = "document.querySelector('#told').textContent"
 SHIFT = 8
-PHONE_PX = 420
-CUT_OFF = f"""[...document.querySelectorAll('body *')].filter((one) => {{
-  const box = one.getBoundingClientRect();
-  return box.width > 0 && box.right > {PHONE_PX} + 1 && !one.closest('pre, svg, details');
-}}).map((one) => one.outerHTML.slice(0, 80))"""
 """What a narrow screen cannot show, but for what can be scrolled by itself."""
 
 
@@ -55,12 +50,6 @@ def difference(one, other):
     There is the ring around what has the keys.
     """
     return np.abs(one - other)[8:-8, 8:-8].max(axis=2).mean()
-
-
-def make_narrow(page):
-    """Show the page on a phone held upright."""
-    size = {"width": PHONE_PX, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    page.call("Emulation.setDeviceMetricsOverride", **size)
 
 
 @pytest.fixture(scope="module")
@@ -114,27 +103,4 @@ def test_a_mesh_is_turned_and_its_layers_lifted_by_keys(tracked, tmp_path):
         for _ in range(20):
             page.press("ArrowRight", "ArrowRight")
         assert float(page.ask("document.querySelector('[name=gap]').value")) == pytest.approx(0.02)
-        assert difference(scene_picture(page), first) > 1
-
-
-def test_the_index_of_a_folder_leads_to_its_reports_by_key(tracked, stored, tmp_path):
-    named = replace(tracked, name="fold")
-    named.save(tmp_path / "tracked" / "fold.zarr")
-    (tmp_path / "tracked" / "torn.zarr").mkdir()
-    words = (tmp_path / "tracked", "--recordings", stored.parent)
-    with viewed(tmp_path / "index.html", tmp_path / "profile", *words) as page:
-        shown = page.ask("document.body.innerText")
-        assert "2 open" in shown
-        assert "no report" in shown
-        assert scene_picture(page, "main").std() > 5
-        make_narrow(page)
-        assert page.ask(CUT_OFF) == []
-        page.press("Tab", "Tab")
-        assert page.ask("document.activeElement.textContent") == "fold"
-        page.press("Enter", "Enter")
-        page.wait_for(READY)
-        page.wait_for(f"{STEP} === '0'")
-        first = scene_picture(page)
-        assert page.ask(CUT_OFF) == []
-        page.ask(MOVE_BAR % (5, 5))
         assert difference(scene_picture(page), first) > 1

@@ -1,9 +1,7 @@
 import av
 import cv2
 import numpy as np
-import pytest
 
-from clothtrack.errors import StorageError
 from clothtrack.report.exports import export_pictures
 
 
@@ -22,9 +20,3 @@ def test_a_video_has_every_frame(tracked, clouds_only, tmp_path):
         pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(pictures) == len(tracked.frames)
     assert np.abs(pictures[0].astype(int) - pictures[-1]).mean() > 2
-
-
-def test_a_place_that_cannot_be_written_to_is_named(tracked, clouds_only, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="file"):
-        export_pictures(tracked, clouds_only, tmp_path / "file" / "x", "mp4")

@@ -14,16 +14,6 @@ from clothtrack.report.overlay import (
 SMALL = OverlayConfig(height=120)
 
 
-def test_a_close_up_holds_the_cloth_in_every_frame(tracked, two_cameras):
-    overlay = Overlay(tracked, two_cameras, config=replace(SMALL, closest=0.3))
-    for view in overlay.views:
-        pixels, _ = view.camera.project(tracked.positions.reshape(-1, 3).astype(float))
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
-        assert (low > (view.columns.start - 0.5, view.rows.start - 0.5)).all()
-        assert (high < (view.columns.stop - 0.5, view.rows.stop - 0.5)).all()
-    assert overlay.views[1].camera.width > 160
-
-
 def test_only_the_hidden_part_is_drawn_in_the_hidden_hue(tracked, two_cameras):
     bare = replace(two_cameras, picker_paths={})
     config = replace(SMALL, cameras=1, wires=0.0)

@@ -29,7 +29,6 @@ SMALL = ReportConfig(overlay=OverlayConfig(height=120))
 
 
 VERDICTS = "[...document.querySelectorAll('.verdict')].map((one) => one.textContent)"
-HIGHLIGHTED = "document.querySelector('#review .current .jump').textContent"
 
 
 def cloth_pixels(picture):
@@ -109,29 +108,6 @@ def test_the_cloth_takes_the_colors_that_are_chosen(opened, tracked):
         assert red[1] < 200
         note = page.ask("document.querySelector('.controls .note').textContent")
         assert "simulated world" in note
-
-
-@pytest.mark.parametrize(
-    ("keys", "verdicts", "label", "frame"),
-    [
-        (["a", "ArrowDown", "r"], ["accepted", "rejected"], 2, 5),
-        (["a", "r"], ["accepted", "rejected"], 2, 5),
-        (["ArrowDown", "ArrowUp", "r", "a"], ["rejected", "accepted"], 2, 5),
-        (["ArrowRight", "ArrowRight", "ArrowRight", "r"], ["open", "rejected"], 2, 5),
-        (["a", "u"], ["open", "open"], 1, 2),
-        (["a", "ArrowUp", "r", "u"], ["accepted", "open"], 1, 2),
-        (["a", "r", "u", "u", "u"], ["open", "open"], 1, 2),
-    ],
-)
-def test_a_key_decides_the_highlighted_label_only(opened, keys, verdicts, label, frame):
-    with opened("two_cameras") as page:
-        page.wait_for("document.body.dataset.ready === 'yes'")
-        for key in keys:
-            page.press(key, key if len(key) > 1 else f"Key{key.upper()}")
-        assert page.ask(VERDICTS) == verdicts
-        assert page.ask(HIGHLIGHTED) == f"Label {label}"
-        assert page.ask("document.querySelector('#told').textContent").startswith(f"frame {frame},")
-        assert page.complaints() == []
 
 
 def test_a_review_by_keys_becomes_a_file_that_label_honours(opened, tracked, tmp_path):

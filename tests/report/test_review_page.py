@@ -146,21 +146,6 @@ def test_the_mesh_of_the_shown_frame_is_saved(opened, tracked, tmp_path):
         assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("width", [390, 1024, 1440, 2560])
-def test_every_width_shows_all_without_scrolling_sideways(opened, width):
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    with opened() as page:
-        page.wait_for(READY)
-        page.call("Emulation.setDeviceMetricsOverride", **size)
-        page.wait_for(f"innerWidth === {width}")
-        assert page.ask("document.documentElement.scrollWidth") <= width
-        assert (
-            page.ask("document.querySelector('.stage').getBoundingClientRect().width") > 0.8 * width
-        )
-        assert blueness(scene_picture(page)).mean() > 0.03
-        assert scene_picture(page, ".film .picture").std() > 10
-
-
 def test_180_frames_of_a_full_sized_cloth_are_under_5_mb(two_cameras, tracked, tmp_path, rng):
     count, side = 180, 38
     u = np.linspace(-0.15, 0.15, side)

@@ -58,14 +58,3 @@ def test_the_browser_gets_every_frame_within_half_a_grain(tracked):
     bits = np.unpackbits(arrays["visible"], bitorder="little")[: tracked.visible.size]
     np.testing.assert_array_equal(bits.reshape(tracked.visible.shape), tracked.visible)
     assert set(arrays["ranks"]) == {1.5 * RANK_STEPS}
-
-
-def test_every_observed_point_keeps_its_color(tracked, rng):
-    clouds = [rng.uniform(-0.2, 0.2, (50 * (k + 1), 3)) for k in range(len(tracked.frames))]
-    red_right = [np.where(p[:, :1] > 0, (200, 0, 0), (0, 0, 200)).astype(np.uint8) for p in clouds]
-    header, arrays = unpacked(contents(tracked, clouds=clouds, cloud_colors=red_right))
-    shown = np.array(header["cloudColors"])[arrays["cloud colors"]]
-    right = arrays["cloud"][:, 0] > 0
-    far = np.abs(arrays["cloud"][:, 0]) > 3e-4
-    np.testing.assert_array_equal(shown[far][:, 0] == 200, right[far])
-    assert len(shown) == sum(map(len, clouds))

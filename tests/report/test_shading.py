@@ -27,17 +27,6 @@ def test_each_side_has_its_hue_and_lambert_brightness(faces, hue):
     np.testing.assert_allclose(shown(still), np.clip(np.multiply(hue, brightness), 0, 1), atol=4e-3)
 
 
-def test_vertex_colors_are_linear_over_the_cloth():
-    config = ShadingConfig(edge_darkening=0.0, depth_darkening=0.0, ambient=1.08)
-    colors = np.repeat((SQUARE[:, :1] + 0.1) / 0.2 * 0.8, 3, axis=1)
-    camera = above()
-    still = Shader(FACES, camera, config=config).render(SQUARE, colors=colors)
-    columns = np.flatnonzero(still.cloth[30])
-    x = (columns - camera.cx) / camera.fx * 0.5
-    expected = (x + 0.1) / 0.2 * 0.8 * 1.08
-    np.testing.assert_allclose(still.image[30, columns, 0] / 255, expected, atol=4e-3)
-
-
 def test_a_layer_pushed_through_another_shows_as_the_other_hue():
     lower = SQUARE - (0.0, 0.0, 0.01)
     vertices = np.concatenate([SQUARE, lower])

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from tyro.conf import arg
 
-from clothtrack.api.learning_extra import require_learning
 from clothtrack.api.options import (
     DepthUnit,
     Garment,
@@ -16,6 +15,7 @@ from clothtrack.api.options import (
     TableDistance,
     configured_by,
     require_file,
+    require_learning,
 )
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from tyro.conf import UseAppendAction, arg
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.extras import require_extra
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -46,3 +47,14 @@ def require_file(path: Path | str | None, kind: str) -> None:
     """
     if path is not None and not Path(path).is_file():
         raise InvalidConfigError(f"{path}: there is no such {kind} file; check the name")
+
+
+def require_learning() -> None:
+    """Check that the extra [learn] is installed.
+
+    Raises:
+        InvalidConfigError: it is missing; the message has the command that installs it.
+    """
+    from clothtrack.reconstruction.availability import EXTRA
+
+    require_extra("learn", EXTRA, "learning")

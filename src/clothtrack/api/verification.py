@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from clothtrack.api.learning_extra import require_learning
+from clothtrack.api.options import require_learning
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.files.progress import Progress

@@ -14,7 +14,7 @@ from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_review import review_path
 from clothtrack.evaluation.results import Evaluation, as_plain, from_plain
 from clothtrack.files.atomic_write import content_hash, write_file
-from clothtrack.recordings.identity import recording_digest
+from clothtrack.recordings.identity import array_digest, recording_digest
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.artifacts import (
@@ -53,6 +53,7 @@ class Source:
             files.append(inside(Path(truth), f"{tracked.name}.npz"))
         parts = [__version__, json.dumps(self.options, sort_keys=True, default=str)]
         parts += [content_hash(file) if file.is_file() else "" for file in files]
+        parts.append(array_digest(tracked.positions))
         return hashlib.sha256("\n".join([*parts, recording_digest(recording)]).encode()).hexdigest()
 
     def run(self, path: Path) -> Run:

@@ -31,7 +31,6 @@ from clothtrack.cli.terminal import (
     say_result,
 )
 from clothtrack.cli.usage import Function, overview, parse
-from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
 from clothtrack.errors import InvalidConfigError
 
@@ -68,6 +67,11 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """The order of `--help`; a verb that is in no group comes last."""
 
+_PACKAGES = (
+    "warp-lang", "numpy", "scipy", "opencv-python-headless", "zarr", "mujoco-core", "tyro", "torch",
+)  # fmt: skip
+"""Distributions that results depend on; those of an extra are listed if installed."""
+
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that numeric libraries read when they are loaded. The operations here are
 small, so that threads mostly wait for each other: on a busy machine, several times as long."""
@@ -97,7 +101,7 @@ def _begin(words: Sequence[str]) -> int:
         SystemExit: the help of a verb was requested and printed.
     """
     if words[:1] == ["--version"]:
-        return versions(json="--json" in words)
+        return _versions(json="--json" in words)
     if words[:1] in (["-h"], ["--help"]):
         say(overview(VERBS, GROUPS))
         return 0
@@ -109,6 +113,26 @@ def _begin(words: Sequence[str]) -> int:
         os.environ.setdefault(variable, "1")
     with logged(verbose=chosen.pop("verbose")):
         return _run(words[0], function, chosen)
+
+
+def _versions(*, json: bool) -> int:
+    """Print the version, commit, devices, machine and packages; no package is imported."""
+    from clothtrack.files.provenance import made_with
+    from clothtrack.geometry.devices import device_names, quiet_warp
+
+    quiet_warp()
+    made, devices = made_with(_PACKAGES), device_names()
+    commit = f" (commit {made['commit']})" if made["commit"] else ""
+    installed = made["packages"]
+    assert isinstance(installed, dict)
+    lines = [
+        f"clothtrack {made['clothtrack']}{commit}",
+        f"devices   {', '.join(devices)}",
+        f"machine   {made['machine']}, Python {made['python']}",
+        f"packages  {', '.join(f'{name} {version}' for name, version in installed.items())}",
+    ]
+    say_result("\n".join(lines), {**made, "devices": devices}, json=json)
+    return 0
 
 
 def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import atomic_file, atomic_folder
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.mesh_file import write_mesh
@@ -34,10 +33,6 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
     and for each action `action_00_before.obj` and `action_00_after.obj`, the mesh around the final
     alignment. The vertex order is the same in all of them.
     """
-    if format not in get_args(ExportFormat):
-        raise InvalidConfigError(
-            f"format is {format!r}; choose one of {', '.join(get_args(ExportFormat))}"
-        )
     if format == "npz":
         out = _with_suffix(out, ".npz")
         with atomic_file(out) as temporary:

@@ -23,8 +23,8 @@ from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.document import write_document
-from clothtrack.report.lettering import Picture
 from clothtrack.report.live import live_page
+from clothtrack.report.palette import Picture
 from clothtrack.report.sections import Figure, key_figures, stills_html
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.viewpoint import three_quarter_view

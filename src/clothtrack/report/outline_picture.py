@@ -5,8 +5,17 @@ import numpy as np
 from jaxtyping import UInt8
 
 from clothtrack.garments.flat_template import FlatTemplate
-from clothtrack.report.lettering import caption, text_width, write
-from clothtrack.report.palette import HIDDEN, INK, OUTSIDE, PAPER, PICKER_CLOSED, rgb255
+from clothtrack.report.palette import (
+    HIDDEN,
+    INK,
+    OUTSIDE,
+    PAPER,
+    PICKER_CLOSED,
+    caption,
+    rgb255,
+    text_width,
+    write,
+)
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 

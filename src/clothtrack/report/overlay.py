@@ -21,7 +21,6 @@ from clothtrack.report.evidence import (
     observed_points,
     view_picture,
 )
-from clothtrack.report.lettering import Picture, caption
 from clothtrack.report.palette import (
     HIDDEN,
     INK,
@@ -29,6 +28,8 @@ from clothtrack.report.palette import (
     PAPER,
     PICKER_CLOSED,
     PICKER_OPEN,
+    Picture,
+    caption,
     rgb255,
 )
 from clothtrack.report.shading import Shader, ShadingConfig

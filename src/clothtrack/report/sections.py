@@ -19,9 +19,8 @@ from clothtrack.geometry.quality import edge_strain
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.curves import Chart, Line
 from clothtrack.report.evidence import ObservedSteps
-from clothtrack.report.lettering import Picture, heat_legend
 from clothtrack.report.overlay import scene_view
-from clothtrack.report.palette import heat
+from clothtrack.report.palette import Picture, heat, heat_legend
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction, TrackedTrajectory

@@ -47,7 +47,7 @@ def train_dynamics(
     """
     from dataclasses import replace
 
-    from clothtrack.api.learning_extra import require_learning
+    from clothtrack.api.options import require_learning
     from clothtrack.files.output_lock import locked_output
     from clothtrack.files.settings import with_settings
 

@@ -77,7 +77,7 @@ def _flattening_config(
     Raises:
         InvalidConfigError: a setting is unknown, or weights or an extra are missing.
     """
-    from clothtrack.api.learning_extra import require_learning
+    from clothtrack.api.options import require_learning
     from clothtrack.files.settings import with_settings
     from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.planning.perception import PerceptionConfig
