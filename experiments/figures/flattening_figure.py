@@ -36,11 +36,7 @@ NAME = "flattening"
 
 
 def chosen_episodes(rows: Sequence[Row], method: str) -> Mapping[str, str]:
-    """Return names of the best, the median and the worst episode of a method, by where they ended.
-
-    Raises:
-        InvalidConfigError: the method has no rows.
-    """
+    """Return the best, the median and the worst episode of a method, by where they ended."""
     ended = IMPROVEMENT.values(row for row in rows if row["variant"] == method)
     order = sorted(ended, key=lambda name: (ended[name], str(name)))
     if not order:
@@ -50,13 +46,7 @@ def chosen_episodes(rows: Sequence[Row], method: str) -> Mapping[str, str]:
 
 
 def episode_line(strip: Picture, used: int, most: int = SHOWN) -> Picture:
-    """Return pictures of a strip beside each other: the first, the last, and some between.
-
-    Args:
-        strip: of `write_film_strip`.
-        used: actions of the episode.
-        most: pictures at most; what is missing is left blank.
-    """
+    """Return pictures of a strip beside each other: the first, the last, and some between."""
     width, height = TILE
     columns = strip.shape[1] // width
     tiles = [
@@ -69,11 +59,7 @@ def episode_line(strip: Picture, used: int, most: int = SHOWN) -> Picture:
 
 
 def strip_of(out: Path, rows: Sequence[Row], method: str, recording: str) -> Picture:
-    """Return the line of one episode.
-
-    Raises:
-        InvalidResultError: its strip is not there.
-    """
+    """Return the line of one episode."""
     row = next(row for row in rows if (row["variant"], row["recording"]) == (method, recording))
     path = out / NAME / row["provenance"]["config_hash"] / "strips" / f"{recording}.png"
     read = cv2.imread(str(path))
@@ -83,18 +69,7 @@ def strip_of(out: Path, rows: Sequence[Row], method: str, recording: str) -> Pic
 
 
 def draw(out: Path, rows: Sequence[Row], method: str, image: Path) -> Path:
-    """Return the figure as a PNG.
-
-    Args:
-        out: folder of the experiment.
-        rows: of one garment, without failed episodes.
-        method: whose episodes are shown.
-        image: the file.
-
-    Raises:
-        InvalidConfigError: the method has no rows.
-        InvalidResultError: a strip is not there.
-    """
+    """Return the figure as a PNG."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -43,9 +43,7 @@ class Strip:
     """One line of the picture.
 
     Attributes:
-        words: captions on the left and right.
         vertices: the mesh [m].
-        faces: its triangles.
         errors: distance of each vertex to its true place [m].
     """
 
@@ -56,13 +54,7 @@ class Strip:
 
 
 def strips(rows: Sequence[tuple[str, Path, Row]], truth: Truth, action: int) -> list[Strip]:
-    """Return the truth and, after TTO2, every named row's mesh, at the end of an action (from 1).
-
-    Args:
-        rows: what each is called, the folder that it is of, and the row.
-        truth: of the recording.
-        action: counted from 1.
-    """
+    """Return the truth and every row's mesh after TTO2, at the end of an action (from 1)."""
     found: dict[str, Strip] = {}
     for name, folder, row in rows:
         if row["action"] != action or row["stage"] != "after" or name in found:

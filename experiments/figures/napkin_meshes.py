@@ -38,11 +38,7 @@ def taken(cloths: Sequence[Napkin]) -> list[tuple[Napkin, int]]:
 
 
 def row_of(report: dict[str, list[Row]], network: str, labels: str) -> Row:
-    """Return the first row of these labels.
-
-    Raises:
-        InvalidConfigError: there is none.
-    """
+    """Return the first row of these labels."""
     for row in report["rows"]:
         if (row["network"], row["labels"]) == (network, labels) and "weights" in row:
             return row
@@ -50,12 +46,7 @@ def row_of(report: dict[str, list[Row]], network: str, labels: str) -> Row:
 
 
 def sheet(data: Path, rows: Path, network: str, labels: str) -> Picture:
-    """Return all pictures with their meshes.
-
-    Raises:
-        InvalidConfigError: nothing was measured with these labels.
-        InvalidRecordingError: the data is missing.
-    """
+    """Return all pictures with their meshes."""
     report, keep = json.loads(rows.read_text(encoding="utf-8")), rows.with_suffix("")
     judged = report["provenance"]["sequences"]["choose"]
     cloths = [one for one in napkins(data, keep / "recordings") if one.name in judged]

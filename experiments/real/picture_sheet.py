@@ -34,9 +34,7 @@ def tile(
     """Color, measured and drawn heights on one scale, words over them.
 
     Args:
-        picture: the real picture; its stickers are ringed in green.
         mesh: what it became, in the world [m]; None leaves the last part empty.
-        words: over the pictures.
         corners: where the mesh's stickers are [pixels]: red crosses.
     """
     depth = picture.depth

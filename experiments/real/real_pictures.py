@@ -85,7 +85,6 @@ class Networks:
     Attributes:
         weights: by the garment that they are for, or "any"; those that come with clothtrack where
             none are.
-        device: where to compute.
     """
 
     weights: Mapping[str, Path] = field(default_factory=dict)
@@ -93,11 +92,7 @@ class Networks:
     _models: dict[str, Reconstructor] = field(default_factory=dict)
 
     def model(self, kind: str) -> Reconstructor:
-        """Return the network for a garment.
-
-        Raises:
-            InvalidResultError: there is none, or its weights are damaged.
-        """
+        """Return the network for a garment."""
         if kind not in self._models:
             self._models[kind] = load_model(kind, self._weights(kind), device=self.device)
         return self._models[kind]
@@ -279,13 +274,7 @@ def table(name: str, rows: Sequence[Row]) -> str:
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """Judge all pictures of the sets that are there; the report is written after each of them.
-
-    Raises:
-        InvalidRecordingError: `meta.json` of a set cannot be read.
-        InvalidResultError: weights are missing or damaged.
-        InvalidConfigError: two of them are for the same garment.
-    """
+    """Judge all pictures of the sets that are there; the report is written after each of them."""
     networks = Networks({kind_of(path): path for path in options.weights}, options.device)
     if len(networks.weights) < len(options.weights):
         raise InvalidConfigError("two of the weights are for the same garment; name one of them")

@@ -93,12 +93,9 @@ class Plan:
     """All inputs of the rows.
 
     Attributes:
-        keep: folder of all that is kept.
         splits: recordings for training, "train", and for measuring: "choose", "test".
         starts: initial weights of the networks, by name.
-        tuner: fine-tuning of the networks.
         calibrated: False leaves the trackers' calibration out (smoke runs).
-        workers: processes that measure, one recording each.
     """
 
     keep: Path
@@ -320,11 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def planned(options: argparse.Namespace) -> Plan:
-    """Return the plan that the command line asks for.
-
-    Raises:
-        InvalidConfigError: a set is missing, or a recording is used for training and measuring.
-    """
+    """Return the plan that the command line asks for."""
     keep = options.json.with_suffix("")
     found = napkins(options.data, keep / "recordings")
     splits = {

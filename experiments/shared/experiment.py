@@ -52,15 +52,9 @@ class Setup:
     """The inputs of an experiment's plan.
 
     Attributes:
-        bench: folder of the benchmark.
-        out: folder of the rows.
         split: the chosen split, None for all.
-        limit: largest number of trajectories.
         vertices: resample first meshes to so many vertices; None leaves them.
-        workers: number of processes.
         ray: address of the Ray cluster to track on; worker processes by default.
-        device: "cpu" or "cuda:0".
-        smoke: whether this is a smoke run.
     """
 
     bench: Path
@@ -80,14 +74,7 @@ class Setup:
     def variant(
         self, name: str, config: RunConfig | str = "default", method: str = "", **changes: object
     ) -> Variant:
-        """Return a variant, which is small in a smoke run.
-
-        Args:
-            name: name in the tables.
-            config: settings, or the name of a mode or of one of the paper's ablations.
-            method: name of a method of `shared.ablations`; that of the settings' mode by default.
-            changes: to other fields of the variant.
-        """
+        """Return a variant, which is small in a smoke run."""
         if isinstance(config, str):
             method = method or ("" if config in MODES else config)
             config = settings_of(config)

@@ -57,8 +57,6 @@ class LearningSetup:
 
     Attributes:
         tracking: how trajectories are tracked, and where rows and runs are.
-        weights: of the networks, by garment.
-        limit: most trajectories of each garment.
         held_out_count: trajectories of each garment that a folder without splits holds out; None:
             a tenth.
     """
@@ -161,17 +159,7 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
 
 
 def weights_of_garments(paths: Sequence[Path], bench: Path) -> dict[str, Path]:
-    """Return the weights for every garment that they are for.
-
-    Args:
-        paths: files of weights; those of the token network serve each garment of the benchmark that
-            no other file is for.
-        bench: folder of the benchmark.
-
-    Raises:
-        InvalidConfigError: the benchmark is empty.
-        InvalidResultError: weights are missing or damaged.
-    """
+    """Return the weights for every garment that they are for."""
     found = {kind: path for path in paths if (kind := kind_of(path)) != ANY_GARMENT}
     tokens = [path for path in paths if kind_of(path) == ANY_GARMENT]
     kinds = dict.fromkeys(one.kind for one in trajectories(bench)) if tokens else ()

@@ -48,9 +48,7 @@ def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabeledRecordi
     """Return the true labels with smooth errors along the table; the flat start stays right.
 
     Args:
-        task: a run that lies in its store, for the frames and the vertices.
         error_m: mean distance of a label's vertices from the truth [m].
-        seed: of the displacements, with the trajectory's name.
     """
     true = true_labels(task)
     rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
@@ -65,12 +63,7 @@ def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabeledRecordi
 
 
 def simulated_labels(task: Task, *, seed: int = 0) -> LabeledRecording:
-    """Return the meshes of a run drawn as the network's pretraining draws states: exact labels.
-
-    Args:
-        task: a run of the dynamics alone that lies in its store.
-        seed: of cameras and noise, with the trajectory's name.
-    """
+    """Return the meshes of a run drawn as the network's pretraining draws states: exact labels."""
     rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
     states = [mesh.vertices, *(label.vertices for label in labels)]

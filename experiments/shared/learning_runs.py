@@ -47,15 +47,7 @@ DIGITS = 12
 
 @dataclass(frozen=True)
 class Reconstructor:
-    """One way from a depth picture to a mesh; every field is part of the hash but the name.
-
-    Attributes:
-        name: as the tables call it.
-        weights: file of the network.
-        method: "template" or "implicit".
-        refined: fine-tune at test time.
-        vertex_count: of a template, about.
-    """
+    """One way from a depth picture to a mesh; every field is part of the hash but the name."""
 
     name: str
     weights: Path
@@ -80,12 +72,9 @@ class Tuner:
     """How networks are fine-tuned, and where they are kept.
 
     Attributes:
-        store: folder of all fine-tuned networks.
         training: name of the training, of every design.
         settings: changes of its configuration; each design takes those of its own groups.
         held_out_share: of every stage; None: as the training says.
-        seed: of the training.
-        device: where it computes.
     """
 
     store: Path
@@ -96,11 +85,7 @@ class Tuner:
     device: str = "cpu"
 
     def tuned(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
-        """Return the weights after fine-tuning on these labels; trained where they are not kept.
-
-        Raises:
-            InvalidConfigError: the training was interrupted.
-        """
+        """Return the weights after fine-tuning on these labels; trained where they are not kept."""
         folder = self.folder(start, labels)
         if not (folder / MODEL).exists():
             begun = load_weights(start)
@@ -120,11 +105,7 @@ class Tuner:
         return folder / MODEL
 
     def config_of(self, start: Weights) -> Any:
-        """Return how a network that begins with these weights is trained.
-
-        Raises:
-            InvalidConfigError: a setting is wrong, or of no design.
-        """
+        """Return how a network that begins with these weights is trained."""
         config = design_of(start).configuration(self.training, seed=self.seed)
         loops = [one.name for one in fields(config) if _is_loop(getattr(config, one.name))]
         if self.held_out_share is not None:
@@ -163,11 +144,7 @@ def _digest(settings: object) -> str:
 
 
 def kind_of(weights: Path) -> str:
-    """Return the garment that weights are for.
-
-    Raises:
-        InvalidResultError: they are missing or damaged.
-    """
+    """Return the garment that weights are for."""
     return load_weights(weights).kind
 
 
@@ -198,17 +175,7 @@ def reconstruct_frame(
 def reconstruction_rows(
     trajectory: Trajectory, how: Reconstructor, store: Path, *, label: Task | None = None
 ) -> list[Row]:
-    """Return the rows of a trajectory's actions, each reconstructed from its last frame alone.
-
-    Args:
-        trajectory: recording and truth.
-        how: network and method.
-        store: folder of all rows.
-        label: a finished run whose meshes are the pseudo-labels that are compared with.
-
-    Returns:
-        One row per action, or one with an `error`, which is not kept.
-    """
+    """Return the rows of a trajectory's actions, each reconstructed from its last frame alone."""
     judged = "" if label is None else f"-{label.variant.digest}"
     key = f"{how.digest}-{trajectory.digest}{judged}-{LEARNING_ROW_FORMAT}"
     file = store / trajectory.name / f"{key}.jsonl"

@@ -13,13 +13,7 @@ class Column:
     """One column of a table.
 
     Attributes:
-        title: its heading.
-        key: the measure in the rows.
-        scale: factor on it.
-        digits: after the point.
-        stage: "before" or "after" TTO2.
         last: only the last action of each recording, as the paper measures.
-        spread: standard deviation and median too.
     """
 
     title: str

@@ -50,11 +50,7 @@ FLAT = Variant("from flat")
 
 
 def crumpled(recording: Recording) -> Recording:
-    """Return the recording from the frame before its second action on, without its template.
-
-    Raises:
-        InvalidConfigError: it has no second action.
-    """
+    """Return the recording from the frame before its second action on, without its template."""
     if len(recording.actions) < 2:
         raise InvalidConfigError(
             f"{recording.folder}: has {len(recording.actions)} actions; a crumpled start needs 2"
@@ -75,9 +71,7 @@ def errors_mm(
     """Return the mean vertex error [mm] at frames, under the symmetry with the least mean.
 
     Args:
-        mesh: tracked mesh with canonical coordinates.
         ends: frames of the truth, with the vertices [m] at each.
-        truth: with canonical coordinates.
     """
     canonical = np.asarray(mesh.canonical, np.float64)
     found = []
@@ -93,11 +87,7 @@ def errors_mm(
 
 
 def run(options: argparse.Namespace) -> list[Row]:
-    """Return one row per recording.
-
-    Raises:
-        InvalidConfigError: there is no recording, or there are no weights.
-    """
+    """Return one row per recording."""
     weights = options.weights or shipped_weights()
     if weights is None:
         raise InvalidConfigError("no weights come with clothtrack; name some with --weights")

@@ -69,12 +69,7 @@ TRUTH = PerceptionConfig(name="truth")
 
 @dataclass(frozen=True)
 class Method:
-    """One line of the table.
-
-    Attributes:
-        name: name in the table.
-        config: configuration of flattening.
-    """
+    """One line of the table."""
 
     name: str
     config: FlattenConfig
@@ -82,15 +77,7 @@ class Method:
 
 @dataclass(frozen=True)
 class Task:
-    """One episode of one method.
-
-    Attributes:
-        method: method to run.
-        episode: episode to run.
-        out: folder of all episodes and starts.
-        robot: configuration of the simulated robot.
-        device: device to compute on.
-    """
+    """One episode of one method."""
 
     method: Method
     episode: SimulatedEpisode

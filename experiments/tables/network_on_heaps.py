@@ -47,14 +47,7 @@ CHAMFER = Column("Chamfer PC, 1e-4 m2", "chamfer_pc_m2", 1e4, 2)
 
 @dataclass(frozen=True)
 class Task:
-    """The pictures of one episode, seen by one network.
-
-    Attributes:
-        weights: of the network.
-        episode: its folder.
-        steps: of the episode.
-        kind: the garment.
-    """
+    """The pictures of one episode, seen by one network."""
 
     weights: Path
     episode: Path
@@ -63,11 +56,7 @@ class Task:
 
 
 def tasks_of(out: Path, kind: str, weights: Sequence[Path], every: int) -> list[Task]:
-    """Return every so many pictures of all finished episodes; a start's first picture once.
-
-    Raises:
-        InvalidConfigError: there are none.
-    """
+    """Return every so many pictures of all finished episodes; a start's first picture once."""
     found: list[tuple[Path, tuple[int, ...]]] = []
     begun: set[str] = set()
     number = 0

@@ -137,8 +137,6 @@ class State:
     """One state, its picture, and the truth about it.
 
     Attributes:
-        known: common fields of all its rows.
-        picture: input of the networks.
         true: the mesh as it lies [m].
     """
 
