@@ -17,9 +17,12 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import numpy as np
+
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth
 from clothtrack.files import with_settings
+from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction import (
     DepthInput,
     NetworkMesh,
@@ -31,15 +34,16 @@ from clothtrack.reconstruction.design import Reconstructor as NetworkOfPictures
 from clothtrack.reconstruction.model_loading import designs
 from clothtrack.reconstruction.token_meshes import TokenMeshes
 from clothtrack.reconstruction.tokens.token_learning import MODEL
-from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig
 from clothtrack.tracking.pipeline import provenance
+from clothtrack_lab.published_networks.model import MeshReconstructor
+from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 from shared.bench_measures import Row
-from shared.bench_runs import Task, Trajectory, read_rows, write_rows
-from shared.learning_labels import digest_of, label_mesh
+from shared.bench_runs import Task, Trajectory, kept_labels, read_rows, write_rows
 from shared.learning_measures import LEARNING_ROW_FORMAT, Case, measure_reconstruction
 
 DIGITS = 12
@@ -214,3 +218,37 @@ def _measured(trajectory: Trajectory, how: Reconstructor, label: Task | None) ->
             }
         )
     return rows
+
+
+def label_mesh(task: Task, frame: int) -> ClothMesh | None:
+    """Return the tracker's mesh at a frame that ended an action; None when it labeled another."""
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    found = [label.vertices for label in labels if label.frame == frame]
+    return mesh.with_vertices(np.asarray(found[0], np.float64)) if found else None
+
+
+def digest_of(labels: Sequence[LabeledRecording]) -> str:
+    """Return ten hexadecimal digits that change with any picture or label."""
+    content = hashlib.sha256()
+    for one in labels:
+        content.update(f"{one.name} {one.kind} {one.frames}".encode())
+        content.update(np.asarray(one.mesh.canonical, np.float32).tobytes())
+        content.update(np.asarray(one.mesh.faces, np.int32).tobytes())
+        for picture in one.pictures:
+            for array in (picture.depth_m, picture.positions):
+                content.update(np.asarray(array, np.float32).tobytes())
+            content.update(picture.mask.tobytes())
+            content.update(np.asarray(picture.faces, np.int32).tobytes())
+    return content.hexdigest()[:10]
+
+
+def tiny_network(path: Path, kind: str = "towel") -> Path:
+    """Return a network that has learned nothing, small enough for a smoke run."""
+    import torch
+
+    if not path.exists():
+        torch.manual_seed(0)
+        save_weights(
+            path, MeshReconstructor(TINY_NETWORK, kind).state_dict(), TINY_NETWORK, kind=kind
+        )
+    return path

@@ -33,7 +33,7 @@ from shared.bench_runs import (
     write_meshes,
 )
 from shared.figures import say, write_json
-from shared.table_column import table
+from shared.table_column import paired, table
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth, material_map, material_points
@@ -143,12 +143,10 @@ def markdown(rows: Sequence[Row]) -> str:
                 for row in own if after < len(row["crumpled_mm"])
             ])  # fmt: skip
             gaps = pairs[:, 0] - pairs[:, 1]
-            error = gaps.std(ddof=1) / np.sqrt(len(gaps)) if len(gaps) > 1 else np.nan
             ours, theirs = pairs.mean(axis=0)
             lines.append([
                 kind, str(after + 1), str(len(pairs)), f"{ours:.1f}", f"{theirs:.1f}",
-                f"{np.median(pairs[:, 0]):.1f}", f"{gaps.mean():+.1f} ± {error:.1f}",
-                f"{int((gaps < 0).sum())} of {len(gaps)}",
+                f"{np.median(pairs[:, 0]):.1f}", *paired(gaps),
             ])  # fmt: skip
     head = ["garment", "actions", "recordings", "from crumpled, mm", "from flat, mm",
             "from crumpled, median", "difference", "crumpled nearer in"]  # fmt: skip

@@ -49,7 +49,6 @@ from clothtrack.planning.flatten_config import episode_identity
 from clothtrack.planning.planning_dynamics import MotionConfig
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
-from clothtrack.report.flattening_page import write_film_strip
 from clothtrack_lab.baselines.flattening_policies import POLICIES
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
 from clothtrack_lab.world import (
@@ -166,9 +165,6 @@ def run(task: Task) -> list[Row]:
         )
     except ClothTrackError as error:
         return [{**named, "error": str(error)}]
-    strip = task.folder / "strips" / f"{task.episode.label}.png"
-    if not strip.exists():
-        write_film_strip(store, strip)
     return [{**named, **row} for row in rows_of(store, task)]
 
 
@@ -236,7 +232,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         robot = SimulatedRobotConfig(film=False)
         if options.smoke:
             robot = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
-            if not options.weights:
+            if not options.weights and not missing_modules():
+                from shared.learning_runs import tiny_network
+
                 options.weights = tiny_network(out / "tiny.safetensors")
         try:
             chosen = methods(options)
@@ -296,22 +294,6 @@ def noted(rows: list[Row]) -> list[Row]:
     sys.stderr.write(f"{last['variant']}, {last['recording']}: {text}\n")
     sys.stderr.flush()
     return rows
-
-
-def tiny_network(path: Path) -> Path | None:
-    """Return weights of a network that has learned nothing; None where [learn] is not installed."""
-    if missing_modules():
-        return None
-    import torch
-
-    from clothtrack.reconstruction.training.checkpoint import save_weights
-    from clothtrack_lab.published_networks.model import MeshReconstructor
-    from clothtrack_lab.published_networks.network_config import TINY_NETWORK
-
-    torch.manual_seed(0)
-    model = MeshReconstructor(TINY_NETWORK, "towel")
-    save_weights(path, model.state_dict(), TINY_NETWORK, kind="towel")
-    return path
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -44,7 +44,7 @@ def test_the_options_of_the_index_exist(name, smoke, options, monkeypatch, capsy
     assert ("--smoke" in text) == bool(smoke)
 
 
-@pytest.mark.parametrize(("name", "module"), [("claim", "mujoco"), ("table2_real", "skimage")])
+@pytest.mark.parametrize(("name", "module"), [("table1", "mujoco"), ("table2_real", "skimage")])
 def test_a_missing_extra_is_named_in_one_line(tmp_path, name, module):
     code = (
         f"import runpy, sys; sys.modules[{module!r}] = None; "
@@ -62,9 +62,9 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path, name, module):
 
 
 def test_an_experiment_starts_from_any_folder(tmp_path):
-    done = started("targets", "--rows", "nothing", cwd=tmp_path)
+    done = started("tables", "--rows", "nothing", cwd=tmp_path)
     assert done.returncode == 1
-    assert "no rows of table1" in done.stdout + done.stderr
+    assert "no rows of any experiment" in done.stdout + done.stderr
     listed = started(cwd=tmp_path)
     assert listed.returncode == 0
     assert "`table1`" in listed.stdout
