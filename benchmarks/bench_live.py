@@ -29,7 +29,6 @@ from staged_fold import CARRIED_STEPS, FILMED_VERTICES, FRAME_RATE, shirt, stage
 import clothtrack as ct
 from clothtrack.live.playback import pickers_at, play
 
-QUICK = ["search.method=none"]
 PARTS = ("observe", "predict", "align", "correct")
 
 
@@ -61,7 +60,7 @@ class Film:
     def tracker(self) -> ct.LiveTracker:
         """Return a tracker for its cloth."""
         cloth, (camera,) = self.recording.cloth, self.recording.cameras
-        return ct.LiveTracker(cloth, camera, table=self.recording.table, settings=QUICK)
+        return ct.LiveTracker(cloth, camera, table=self.recording.table)
 
     def turns(self, tracker: Any, index: int) -> None:
         """Begin and end actions as in the recording."""

@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from franka_robot import FrankaConfig, FrankaRobot, FrankyArm
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.planning import (
@@ -36,7 +37,7 @@ from clothtrack.planning.robots import (
 )
 from clothtrack.recordings import ClothDescription, Table, read_recording
 from clothtrack.report import write_flattening_report
-from clothtrack_capture import FrankaConfig, FrankaRobot, FrankyArm, open_realsense
+from clothtrack_capture import open_realsense
 
 SETTLING_FRAMES = 5
 """Pictures that are thrown away before one is kept: the first may be from before the motion."""

@@ -27,9 +27,9 @@ from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
 from clothtrack.tracking.pipeline import counted_settings, observer, provenance
-from clothtrack_lab.baselines import PeerConfig, follow
 from shared.ablations import ALL
 from shared.bench_measures import ROW_FORMAT, Row, finite, measure
+from shared.coherent_point_drift import PeerConfig, follow
 from shared.first_meshes import resampled, with_first_mesh_error
 
 BENCH_FILE = "bench.json"

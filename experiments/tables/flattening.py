@@ -49,7 +49,7 @@ from clothtrack.planning.flatten_config import episode_identity
 from clothtrack.planning.planning_dynamics import MotionConfig
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
-from clothtrack_lab.baselines.flattening_policies import POLICIES
+from clothtrack_lab.flattening import POLICIES
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
 from clothtrack_lab.world import (
     SMALL_WORLD,

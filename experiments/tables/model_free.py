@@ -1,8 +1,8 @@
 """Compare the tracker with coherent point drift and an edge-length projection.
 
 Claim judged: dynamics predict the motion of the hidden part of the cloth better than smoothness and
-edge lengths do. The baseline (`clothtrack_lab.baselines`) is given the same clouds, first mesh and
-tool path, once with the grasp point on the cloth, as in CDCPD, and once without.
+edge lengths do. The baseline (shared/coherent_point_drift.py) is given the same clouds, first mesh,
+and tool path, once with the grasp point on the cloth, as in CDCPD, and once without.
 
     pip install biocpd      (the extra [experiments] brings it)
     python experiments model_free --bench OUT --split test --workers 2
@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import _path  # noqa: F401
 from shared.bench_runs import Variant
+from shared.coherent_point_drift import PeerConfig
 from shared.experiment import Run, Setup, run_experiment
 from shared.figures import say
 
 from clothtrack.files.extras import install_command
-from clothtrack_lab.baselines import PeerConfig
 
 
 def plan(setup: Setup) -> list[Run]:

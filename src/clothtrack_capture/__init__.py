@@ -10,13 +10,11 @@ from clothtrack._lazy import lazy_names
 if TYPE_CHECKING:
     from clothtrack.recordings.recorded_table import fit_recorded_table
     from clothtrack_capture.api.calibration import calibrate_camera
-    from clothtrack_capture.api.importing import import_recording
     from clothtrack_capture.api.live_ros2 import live_ros2
     from clothtrack_capture.api.picker import find_picker
-    from clothtrack_capture.api.recording import record
+    from clothtrack_capture.api.recording import import_recording, record
     from clothtrack_capture.api.segmentation import segment
     from clothtrack_capture.board import Board, BoardPose, locate_board, locate_boards
-    from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm
     from clothtrack_capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye, read_robot_poses
     from clothtrack_capture.importing.import_options import ImportOptions
     from clothtrack_capture.live_capture import (
@@ -37,9 +35,6 @@ __all__ = [
     "CaptureWriter",
     "CapturedFrame",
     "DepthCamera",
-    "FrankaConfig",
-    "FrankaRobot",
-    "FrankyArm",
     "HandEye",
     "ImportOptions",
     "RealSenseCamera",

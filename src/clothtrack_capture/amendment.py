@@ -6,6 +6,7 @@ names the other files. Everything that a change does not concern stays as it was
 """
 
 import copy
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from json import dumps
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from clothtrack.api.results import Result
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.atomic_write import atomic_folder, storage, write_file
 from clothtrack.recordings.frame_files import PICTURE_KINDS
@@ -22,9 +24,36 @@ from clothtrack.recordings.picker_table import PICKER_FILE, picker_text
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Recording
 from clothtrack.recordings.recording_file import document_violations, load_document
+from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.violation import DOCUMENT
 
+logger = logging.getLogger(__name__)
+
 Change = Callable[[dict[str, Any]], None]
+
+
+def opened_recording(given: Recording | Path | str) -> Recording:
+    """Return the recording of a folder, or the given one as one that nothing is written to."""
+    if isinstance(given, Recording):
+        return replace(given, folder=Path(given.name))
+    return read_recording(given)
+
+
+def place_of(given: Recording | Path | str) -> Path:
+    """Return the folder as it was given, or the name of a recording in memory, for a report."""
+    return Path(given.name if isinstance(given, Recording) else given)
+
+
+def reported(
+    given: Recording | Path | str, changed: Recording, result: Result
+) -> Recording | Result:
+    """Return the changed recording if one was given, and the result of a folder."""
+    if not isinstance(given, Recording):
+        return result
+    logger.info("%s", result.words)
+    for doubt in result.doubts:
+        logger.warning("%s", doubt)
+    return changed
 
 
 def amend_document(folder: Path, change: Change) -> None:

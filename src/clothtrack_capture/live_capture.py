@@ -1,18 +1,16 @@
 """Recording from a live camera, with every frame written to disk as it arrives.
 
-Frames and a journal go to a hidden folder `.NAME.capture` next to the target. Finishing and
-salvaging do the same: the frames that the journal lists and whose files are complete become the
-recording.
+Frames go to a hidden folder `.NAME.capture` next to the target, which finishing renames. The folder
+is a recording of all but its last frames at any time, so that whoever is left with one renames it.
 """
 
 import json
-import logging
-import os
+import math
 import queue
-import shutil
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -22,20 +20,18 @@ from jaxtyping import Float, UInt8
 
 from clothtrack._shown import short_repr
 from clothtrack.errors import ClothTrackError, InvalidRecordingError, StorageError
-from clothtrack.files.atomic_write import storage
+from clothtrack.files.atomic_write import remove_folder, storage, write_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.frame_files import conventional_name
 from clothtrack.recordings.pictures import encode_png, read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.recording_file import VERSION
 from clothtrack.recordings.store import read_recording
-from clothtrack.recordings.validation import check_recording
 from clothtrack.recordings.violation import DOCUMENT
 
-logger = logging.getLogger(__name__)
+_LISTED_EVERY = 30
+"""Number of frames after which the document lists them all."""
 
-_JOURNAL = "journal.jsonl"
-_FLUSH_FRAMES = 15
 WAITING_FRAMES = 60
 
 
@@ -115,7 +111,7 @@ class _CaptureState:
 
     Attributes:
         dropped: number of frames that came faster than the disk could take them, or not after the
-            last.
+            last, or without any depth.
         error: reason why writing stopped; empty while there is none.
     """
 
@@ -138,34 +134,34 @@ class CaptureWriter:
             raise StorageError(f"{target} exists; delete it or record to another name")
         if self.folder.exists():
             raise StorageError(
-                f"{self.folder} is left of a broken capture; finish it with --salvage, or delete it"
+                f"{self.folder} is left of a broken capture; rename it to keep its frames, or "
+                "delete it"
             )
         self._unit, self.state = source.depth_unit_m, _CaptureState()
         camera = source.camera
-        head = {
-            "camera": {
-                **{
-                    name: getattr(camera, name)
-                    for name in ("name", "width", "height", "fx", "fy", "cx", "cy")
-                },
-                "depth_unit_m": source.depth_unit_m,
-                "world_from_camera": camera.world_from_camera.tolist(),
-            },
-            "provenance": dict(provenance),
+        names = ("name", "width", "height", "fx", "fy", "cx", "cy")
+        self._document: dict[str, Any] = {
+            "version": VERSION,
+            "cameras": [
+                {name: getattr(camera, name) for name in names}
+                | {
+                    "depth_unit_m": source.depth_unit_m,
+                    "world_from_camera": camera.world_from_camera.tolist(),
+                }
+            ],
+            "frames": [],
+            "provenance": {**provenance, "marks": []},
         }
         with storage(self.folder):
-            for kind in ("depth", "color"):
-                (self.folder / kind).mkdir(parents=True)
-            self._journal = (self.folder / _JOURNAL).open("w", encoding="utf-8")
-            self._note(head, flush=True)
+            (self.folder / "depth").mkdir(parents=True)
         self._waiting: queue.Queue[CapturedFrame | str | None] = queue.Queue(WAITING_FRAMES)
-        self._last_s: float | None = None
+        self._start_s = self._last_s = -math.inf
         self._thread = threading.Thread(target=self._write_all, daemon=True)
         self._thread.start()
 
     def add(self, frame: CapturedFrame) -> None:
         """Add a frame; drop and count it if the disk is too far behind."""
-        if self._last_s is not None and frame.time_s <= self._last_s:
+        if frame.time_s <= self._last_s:
             self.state.dropped += 1
             return
         try:
@@ -183,15 +179,26 @@ class CaptureWriter:
         """Write the waiting frames, and make a recording of all frames.
 
         Raises:
-            StorageError: the disk refused; what was written can be salvaged.
-            InvalidRecordingError: no frame was recorded.
+            StorageError: the disk refused; the frames before that stay in `folder`.
+            InvalidRecordingError: no frame was recorded, or a picture has another size.
         """
         self._waiting.put(None)
         self._thread.join()
-        self._journal.close()
         if self.state.error:
-            raise StorageError(f"{self.state.error}; then finish {self._target} with --salvage")
-        return salvage_capture(self._target)
+            with suppress(StorageError):
+                self._list_frames()
+            raise StorageError(
+                f"{self.state.error}; then rename {self.folder} to keep the {self.state.written} "
+                "frames before"
+            )
+        if not self.state.written:
+            remove_folder(self.folder)
+            raise InvalidRecordingError(f"{self._target}: no frame with depth was recorded")
+        self._list_frames()
+        read_recording(self.folder)
+        with storage(self._target):
+            self.folder.rename(self._target)
+        return read_recording(self._target)
 
     def _write_all(self) -> None:
         while (frame := self._waiting.get()) is not None:
@@ -199,7 +206,7 @@ class CaptureWriter:
                 continue
             try:
                 if isinstance(frame, str):
-                    self._note({"mark": frame, "at": self.state.written}, flush=True)
+                    self._document["provenance"]["marks"].append([frame, self.state.written])
                 else:
                     self._write(frame)
             except OSError as error:
@@ -211,100 +218,28 @@ class CaptureWriter:
         index = self.state.written
         units = np.rint(np.nan_to_num(frame.depth_m, nan=0.0, posinf=0.0) / self._unit)
         depth = np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
-        (self.folder / conventional_name("depth", index)).write_bytes(encode_png(depth))
-        if frame.color is not None:
-            (self.folder / conventional_name("color", index)).write_bytes(encode_png(frame.color))
-        entry = {"index": index, "time_s": frame.time_s, "color": frame.color is not None}
-        self._note(entry, flush=index % _FLUSH_FRAMES == 0)
+        if not depth.any():
+            self.state.dropped += 1
+            return
+        if index == 0:
+            self._start_s = frame.time_s
+        entry = {"index": index, "time_s": round(frame.time_s - self._start_s, 6)}
+        for kind, picture in (("depth", depth), ("color", frame.color)):
+            if picture is not None:
+                entry[kind] = conventional_name(kind, index)
+                file = self.folder / entry[kind]
+                file.parent.mkdir(exist_ok=True)
+                file.write_bytes(encode_png(picture))
+        self._document["frames"].append(entry)
         self.state.written += 1
+        if index % _LISTED_EVERY == 0:
+            self._list_frames()
 
-    def _note(self, entry: Mapping[str, Any], *, flush: bool) -> None:
-        """Append an entry to the journal; `flush` forces it to the disk."""
-        self._journal.write(json.dumps(entry) + "\n")
-        self._journal.flush()
-        if flush:
-            os.fsync(self._journal.fileno())
+    def _list_frames(self) -> None:
+        text = json.dumps(self._document, indent=1)
+        write_file(self.folder / DOCUMENT, text.encode())
 
 
 def capture_folder(target: Path) -> Path:
     """Return the folder that holds a recording's frames during capture."""
     return Path(target).with_name(f".{Path(target).name}.capture")
-
-
-def salvage_capture(target: Path) -> Recording:
-    """Make a recording of the frames that a finished or interrupted capture has written.
-
-    Frames whose files are missing or incomplete are left out; usually these are the last ones.
-    """
-    target, folder = Path(target), capture_folder(target)
-    if not (folder / _JOURNAL).is_file():
-        raise InvalidRecordingError(f"{folder}: there is no broken capture of {target}")
-    head, entries, marks = _read_journal(folder)
-    unit = head["camera"]["depth_unit_m"]
-    whole = [entry for entry in entries if _is_whole(folder, entry, unit)]
-    if not whole:
-        raise InvalidRecordingError(
-            f"{folder}: none of the {len(entries)} frames is whole; delete it and record again"
-        )
-    if len(whole) < len(entries):
-        logger.warning("%s: %d torn frames are left out", target, len(entries) - len(whole))
-    start_s = whole[0]["time_s"]
-    document = {
-        "version": VERSION,
-        "cameras": [head["camera"]],
-        "frames": [
-            {
-                "index": place,
-                "time_s": round(entry["time_s"] - start_s, 6),
-                "depth": conventional_name("depth", entry["index"]),
-                **({"color": conventional_name("color", entry["index"])} if entry["color"] else {}),
-            }
-            for place, entry in enumerate(whole)
-        ],
-        "provenance": {**head["provenance"], "marks": marks},
-    }
-    with storage(folder):
-        (folder / DOCUMENT).write_text(json.dumps(document, indent=1), encoding="utf-8")
-    checked = check_recording(folder)
-    if checked.recording is None:
-        raise InvalidRecordingError(f"{folder}: {checked.violations[0].message}")
-    with storage(target):
-        (folder / _JOURNAL).unlink()
-        if not any((folder / "color").iterdir()):
-            shutil.rmtree(folder / "color")
-        folder.rename(target)
-    return read_recording(target)
-
-
-def _read_journal(
-    folder: Path,
-) -> tuple[dict[str, Any], list[dict[str, Any]], list[list[Any]]]:
-    """Return head, frames and marks of a capture; incomplete lines are skipped."""
-    with storage(folder / _JOURNAL):
-        lines = (folder / _JOURNAL).read_bytes().split(b"\n")
-    notes: list[dict[str, Any]] = []
-    for line in lines:
-        try:
-            note = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(note, dict):
-            notes.append(note)
-    if not notes or "camera" not in notes[0]:
-        raise InvalidRecordingError(
-            f"{folder / _JOURNAL}: its first line is gone; delete it and record again"
-        )
-    entries = [note for note in notes if {"index", "time_s", "color"} <= note.keys()]
-    marks = [[note["mark"], note["at"]] for note in notes if {"mark", "at"} <= note.keys()]
-    return notes[0], entries, marks
-
-
-def _is_whole(folder: Path, entry: Mapping[str, Any], unit_m: float) -> bool:
-    """Return whether a frame's pictures can be decoded and it has any depth."""
-    try:
-        depth = read_depth(folder / conventional_name("depth", entry["index"]), unit_m)
-        if entry["color"]:
-            read_color(folder / conventional_name("color", entry["index"]))
-    except InvalidRecordingError:
-        return False
-    return bool((depth > 0).any())

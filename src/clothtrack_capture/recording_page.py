@@ -4,7 +4,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ from jaxtyping import Float
 
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.lettering import Picture
-from clothtrack.report.local_page import Answer, serving, wait_for
+from clothtrack.report.local_page import serving, wait_for
 from clothtrack.report.palette import PAPER, heat, rgb255
+from clothtrack_capture.click_pages import page_of
 from clothtrack_capture.live_capture import CapturedFrame, CaptureWriter, DepthCamera
-from clothtrack_capture.mask_pictures import jpeg
 
 logger = logging.getLogger(__name__)
 
@@ -123,9 +122,16 @@ def record_live(
 ) -> Recording | None:
     """Serve the page while the camera runs, until it is finished or Ctrl-C is pressed."""
     watching = threading.Thread(target=session.watch, daemon=True)
-    page = _Page(session)
+    handlers = page_of(
+        "recording_page.html", session.facts, {"/preview.jpg": lambda _: session.preview()},
+        {
+            "/start": lambda _: session.start(),
+            "/next": lambda _: session.advance(),
+            "/finish": lambda _: session.stop.set(),
+        },
+    )  # fmt: skip
     try:
-        with serving(page.ask, page.tell) as address:
+        with serving(*handlers) as address:
             logger.info("record at %s", address)
             watching.start()
             try:
@@ -185,33 +191,3 @@ def _depth_colors(depth: Float[np.ndarray, " pixels"]) -> np.ndarray:
     table = np.rint(255.0 * heat(np.linspace(1.0, 0.0, 256), 1.0)).astype(np.uint8)
     place = np.clip((depth - low) / max(high - low, 1e-3), 0.0, 1.0)
     return table[(255 * place).astype(np.uint8)]
-
-
-class _Page:
-    """The request handler of the page."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
-    def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:  # noqa: ARG002
-        """Return the page, the preview or the state."""
-        if path == "/":
-            markup = files("clothtrack_capture").joinpath("recording_page.html").read_bytes()
-            return Answer(markup, "text/html; charset=utf-8")
-        if path == "/state.json":
-            return Answer.of(self._session.facts())
-        if path == "/preview.jpg":
-            picture = self._session.preview()
-            return None if picture is None else Answer(jpeg(picture), "image/jpeg")
-        return None
-
-    def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:  # noqa: ARG002
-        """Handle the start, the next step or the finish."""
-        deeds = {"/start": self._session.start, "/next": self._session.advance}
-        if path in deeds:
-            deeds[path]()
-            return Answer.of(self._session.facts())
-        if path == "/finish":
-            self._session.stop.set()
-            return Answer.of(self._session.facts())
-        return None

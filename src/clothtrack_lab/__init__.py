@@ -1,4 +1,4 @@
-"""The lab: simulated world, benchmark and baselines, which may use the ground truth.
+"""The lab: simulated world and benchmark, which may use the ground truth.
 
 This package imports `clothtrack`, which does not import it.
 """

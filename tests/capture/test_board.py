@@ -10,7 +10,6 @@ from clothtrack_capture.board import Board, locate_board, locate_boards
 
 BOARD = Board(7, 5, 0.03, 0.022)
 CAMERA = Camera("top", 640, 480, 600.0, 602.0, 321.0, 238.0)
-PIXELS = 60
 
 
 def pose_of(turn, shift):
@@ -20,26 +19,19 @@ def pose_of(turn, shift):
     return pose
 
 
-def rendered(pose, board=BOARD, seed=None):
-    """A gray table with the board on it, four times oversampled, blurred and noisy with a seed."""
-    over = 4
-    picture = board.picture(PIXELS)
-    height, width = picture.shape
-    # Pixels of the print to meters on the board, to pixels of the camera, to fine pixels.
-    scale = board.square_m / PIXELS
-    to_board = np.array(
-        [[scale, 0, (0.5 - width / 2) * scale], [0, -scale, (height / 2 - 0.5) * scale], [0, 0, 1]]
-    )
-    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
-    fine = np.array([[over, 0, (over - 1) / 2], [0, over, (over - 1) / 2], [0, 0, 1]])
-    mapping = fine @ matrix @ pose[:3][:, [0, 1, 3]] @ to_board
-    size = CAMERA.width * over, CAMERA.height * over
-    shown = cv2.warpPerspective(picture, mapping, size, borderValue=200)
-    shown = cv2.resize(shown, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA)
-    if seed is not None:
-        noise = np.random.default_rng(seed).normal(0, 5, shown.shape)
+@pytest.fixture
+def rendered(board_picture):
+    """A gray table with the board on it, blurred and noisy with a seed."""
+
+    def picture(pose, board=BOARD, seed=None):
+        shown = board_picture(CAMERA, pose, board)
+        if seed is None:
+            return shown
+        noise = np.random.default_rng(seed).normal(0, 5, (*shown.shape[:2], 1))
         shown = cv2.GaussianBlur(shown, (0, 0), 0.8) * 0.8 + 15 + noise
-    return np.repeat(np.clip(shown, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        return np.clip(shown, 0, 255).astype(np.uint8)
+
+    return picture
 
 
 def off(found, true):
@@ -56,7 +48,7 @@ def off(found, true):
         ([-0.5, 0.3, -2.0], [-0.05, 0.03, 0.7]),
     ],
 )
-def test_a_rendered_board_is_where_it_was_put(turn, shift):
+def test_a_rendered_board_is_where_it_was_put(turn, shift, rendered):
     true = pose_of(turn, shift)
     found = locate_board([rendered(true)], BOARD, CAMERA)
     angle, distance = off(found.camera_from_board, true)
@@ -66,7 +58,7 @@ def test_a_rendered_board_is_where_it_was_put(turn, shift):
     assert distance < 0.5
 
 
-def test_noise_averages_out_over_pictures_of_a_still_board():
+def test_noise_averages_out_over_pictures_of_a_still_board(rendered):
     true = pose_of([0.35, -0.1, 0.2], [0.02, 0.0, 0.65])
     pictures = [rendered(true, seed=seed) for seed in range(6)]
     angle, distance = off(locate_board(pictures, BOARD, CAMERA).camera_from_board, true)
@@ -74,7 +66,7 @@ def test_noise_averages_out_over_pictures_of_a_still_board():
     assert distance < 1.0
 
 
-def test_a_board_printed_the_old_way_is_known_too():
+def test_a_board_printed_the_old_way_is_known_too(rendered):
     old = Board(6, 4, 0.03, 0.022)
     old._boards[0].setLegacyPattern(True)
     true = pose_of([0.2, 0.1, 0.0], [0.0, 0.0, 0.5])
@@ -86,7 +78,7 @@ def test_a_board_printed_the_old_way_is_known_too():
     assert distance < 0.5
 
 
-def test_pictures_without_the_board_give_none():
+def test_pictures_without_the_board_give_none(rendered):
     empty = np.full((480, 640, 3), 200, np.uint8)
     true = pose_of([0.2, 0.1, 0.0], [0.0, 0.0, 0.6])
     found = locate_boards([empty, rendered(true)], BOARD, CAMERA)
@@ -96,7 +88,7 @@ def test_pictures_without_the_board_give_none():
         locate_board([empty], BOARD, CAMERA)
 
 
-def test_a_board_that_moved_between_the_pictures_is_refused():
+def test_a_board_that_moved_between_the_pictures_is_refused(rendered):
     one = rendered(pose_of([0.2, 0.1, 0.0], [0.0, 0.0, 0.6]))
     two = rendered(pose_of([0.2, 0.1, 0.3], [0.04, 0.0, 0.6]))
     with pytest.raises(InvalidRecordingError, match="it moved between the pictures"):

@@ -1,7 +1,6 @@
 """A bare hand by clicks: on the shipped recording, whose true path is known."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -15,19 +14,6 @@ from clothtrack_capture.cloth_views import Click
 PICK, PLACE = Click(4, 250, 63), Click(15, 217, 127)
 NEXT_PICK, NEXT_PLACE = Click(23, 55, 86), Click(40, 132, 97)
 """The true picks and places are in the frames 2, 17, 24 and 39, at pixels two away at most."""
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """The shipped recording as a hand leaves it: without a path, without actions."""
-    copy = tmp_path / "film"
-    shutil.copytree(ct.shipped_recording(), copy)
-    (copy / "picker.csv").unlink()
-    document = json.loads((copy / "recording.json").read_text())
-    del document["actions"]
-    document["cloth"]["grasp_uncertainty_m"] = 0.03
-    (copy / "recording.json").write_text(json.dumps(document))
-    return copy
 
 
 @pytest.fixture
@@ -48,10 +34,6 @@ def words(*clicks):
         for number, click in enumerate(clicks)
         for word in (flags[number % 2], click.frame, click.column, click.row)
     ]
-
-
-def contents(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_path_from_clicks_is_near_the_true_one(folder, true_path):
@@ -113,20 +95,7 @@ def test_a_wrong_click_is_refused_and_changes_nothing(picking, clicks, told):
     assert picking.clicks == tuple(clicks[:-1])
 
 
-def test_undo_takes_back_the_last_click(picking):
-    picking.add(PICK)
-    picking.add(PLACE)
-    picking.undo()
-    assert picking.clicks == (PICK,)
-    assert picking.actions() == ()
-    picking.add(Click(16, 217, 127))
-    assert picking.actions()[0].place.frame == 16
-    for _ in range(3):
-        picking.undo()
-    assert picking.clicks == ()
-
-
-def test_a_pick_without_a_place_is_not_written(picking, folder):
+def test_a_pick_without_a_place_is_not_written(picking, folder, contents):
     before = contents(folder)
     with pytest.raises(InvalidConfigError, match="nothing is clicked yet"):
         picking.keep("hand")
@@ -154,7 +123,7 @@ def test_without_mask_and_color_a_hand_would_be_cloth(folder):
         ClickedPicking(recording, recording.cameras[0])
 
 
-def test_the_command_refuses_half_an_action_two_ways_and_a_measured_path(folder, capsys):
+def test_the_command_refuses_half_an_action_two_ways_and_a_measured_path(folder, capsys, contents):
     assert cli.main(["find-picker", str(folder), *words(PICK)]) == 2
     assert "1 --pick and 0 --place" in capsys.readouterr().err
     assert cli.main(["find-picker", str(folder), "--tip-color", "pink", "--by-hand"]) == 2

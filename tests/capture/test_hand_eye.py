@@ -66,15 +66,6 @@ def test_noise_of_the_board_averages_out_and_shows_in_the_residuals(on_hand):
     assert np.median(distances) < 2.5
 
 
-def test_one_wrong_picture_stands_out():
-    rng = np.random.default_rng(2)
-    _, robot, seen = pictures(rng, 12, on_hand=False, noise_m=0.0005, noise_deg=0.1)
-    seen[7] = seen[7] @ pose_of([0.0, 0.0, 0.0], [0.03, 0.0, 0.0])
-    found = calibrate_hand_eye(robot, seen)
-    assert np.argmax(found.errors_m) == 7
-    assert found.errors_m[7] > 3 * np.median(found.errors_m)
-
-
 def test_poses_that_say_too_little_are_refused():
     rng = np.random.default_rng(3)
     _, robot, seen = pictures(rng, 4, on_hand=False)

@@ -1,7 +1,6 @@
 """A recording in memory is set up as one in a folder is, and nothing is written."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,21 +15,15 @@ CLICK, ENDS = (200, 120), {"pick": [(4, 250, 63)], "place": [(15, 217, 127)]}
 
 
 @pytest.fixture
-def folder(tmp_path):
-    """The shipped recording as a camera gives it, with nothing but the kind of its cloth."""
-    copy = tmp_path / "film"
-    shutil.copytree(ct.shipped_recording(), copy)
-    (copy / "picker.csv").unlink()
-    document = json.loads((copy / "recording.json").read_text())
-    del document["actions"], document["table"]
-    document["cloth"] = {"kind": "tshirt"}
-    del document["cameras"][0]["world_from_camera"]
-    (copy / "recording.json").write_text(json.dumps(document))
-    return copy
+def folder(folder, edit):
+    """The same as a camera gives it, with nothing but the kind of its cloth."""
 
+    def forget(document):
+        del document["table"], document["cameras"][0]["world_from_camera"]
+        document["cloth"] = {"kind": "tshirt"}
 
-def contents(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    edit(folder, forget)
+    return folder
 
 
 def arrays_of(recording):
@@ -47,7 +40,7 @@ def arrays_of(recording):
 
 
 @pytest.mark.parametrize("given", [lambda recording: recording, arrays_of], ids=["read", "arrays"])
-def test_it_is_set_up_as_its_folder_is_and_nothing_is_written(folder, given):
+def test_it_is_set_up_as_its_folder_is_and_nothing_is_written(folder, given, contents):
     before = contents(folder)
     recording = given(ct.read_recording(folder))
     placed = capture.calibrate_camera(recording)
@@ -83,22 +76,6 @@ def test_it_is_tracked(folder):
     run = ct.track(ready, mode="open_loop", force=True)
     assert run.positions.shape[0] == len(ready.frames)
     assert run.recording is ready
-
-
-def test_what_is_doubtful_is_logged(folder, caplog):
-    recording = arrays_of(ct.read_recording(folder))
-    rng = np.random.default_rng(0)
-    noisy = [
-        replace(
-            frame,
-            depth={
-                "top": (d := frame.depth["top"]) + rng.normal(0, 0.006, d.shape).astype(np.float32)
-            },
-        )
-        for frame in recording.frames[:2]
-    ]
-    capture.calibrate_camera(replace(recording, frames=noisy))
-    assert "is the plane found the table?" in caplog.text
 
 
 def test_a_click_writes_the_masks_and_the_picker_is_found_next(folder, tmp_path, capsys):

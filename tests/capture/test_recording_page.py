@@ -1,10 +1,8 @@
 """The recording page: the protocol on screen, and in a browser from the first click to the film."""
 
-import importlib.util
-import threading
 import time
-from pathlib import Path
 
+import chromium
 import numpy as np
 import pytest
 
@@ -18,12 +16,6 @@ from clothtrack_capture.recording_page import (
     record_live,
     warnings_of,
 )
-
-_spec = importlib.util.spec_from_file_location(
-    "chromium", Path(__file__).parents[1] / "report" / "chromium.py"
-)
-chromium = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(chromium)
 
 
 class Endless:
@@ -70,13 +62,6 @@ def test_a_session_records_the_steps_of_the_protocol(tmp_path):
     assert session.facts()["ended"]
 
 
-def test_nothing_is_written_before_the_start(tmp_path):
-    session = Session(Endless(frames=5, pause_s=0.0), tmp_path / "film", {})
-    session.watch()
-    assert session.finish() is None
-    assert not list(tmp_path.iterdir())
-
-
 def test_ctrl_c_ends_it_as_soon_as_the_address_is_told(tmp_path):
     def pressed(address):
         raise KeyboardInterrupt
@@ -116,41 +101,21 @@ def test_the_preview_shows_near_red_and_nothing_pale():
 
 @pytest.mark.slow
 @pytest.mark.skipif(chromium.find_chromium() is None, reason="no Chromium on this machine")
-def test_a_browser_leads_through_the_protocol(tmp_path):
-    found, address, ready = {}, [], threading.Event()
+def test_a_browser_leads_through_the_protocol(tmp_path, served):
     session = Session(Endless(), tmp_path / "film", {})
-
-    def opened(where):
-        address.append(where)
-        ready.set()
-
-    thread = threading.Thread(target=lambda: found.update(made=record_live(session, opened=opened)))
-    thread.start()
-    try:
-        assert ready.wait(20)
-        blank = tmp_path / "blank.html"
-        blank.write_text("<title>blank</title>")
-        with chromium.opened(chromium.find_chromium(), blank, tmp_path / "profile") as page:
-            lead_through(page, address[0])
-            thread.join(timeout=30)
-    finally:
-        session.stop.set()
-        thread.join(timeout=30)
+    recorded = served(lambda stop, opened: record_live(session, opened=opened), session.stop)
+    with recorded as page, page.browsed(tmp_path) as shown:
+        lead_through(shown)
     recording = read_recording(tmp_path / "film")
-    assert len(recording.frames) == len(found["made"].frames) > 10
+    assert len(recording.frames) == len(recorded.kept.frames) > 10
     starts = [frame for _, frame in recording.provenance["marks"]]
     assert starts == sorted(starts)
     assert starts[0] == 0
     assert starts[-1] > 0
 
 
-def lead_through(page, address):
+def lead_through(page):
     """Start, press space through all steps, finish."""
-    page.call(
-        "Network.emulateNetworkConditions",
-        offline=False, latency=0, downloadThroughput=-1, uploadThroughput=-1,
-    )  # fmt: skip
-    page.call("Page.navigate", url=address)
     page.wait_for("document.querySelector('#preview') && "
                   "document.querySelector('#preview').naturalWidth === 1280")  # fmt: skip
     page.wait_for("document.querySelector('#go').disabled === false")

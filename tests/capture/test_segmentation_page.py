@@ -1,29 +1,24 @@
 """The segmentation page as a person meets it: one click in a browser, and the masks are there."""
 
-import importlib.util
-import json
-import threading
-import urllib.error
-import urllib.request
-from pathlib import Path
+from functools import partial
 
+import chromium
 import cv2
 import numpy as np
 import pytest
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_mask
-from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack_capture.mask_pictures import masked_picture, spread, write_mask_sheet
-from clothtrack_capture.segmentation_page import segment_live
-from clothtrack_capture.segmentation_setup import SegmentationSetup
-
-_spec = importlib.util.spec_from_file_location(
-    "chromium", Path(__file__).parents[1] / "report" / "chromium.py"
+from clothtrack_capture.click_pages import segment_live
+from clothtrack_capture.mask_pictures import (
+    MaskSummary,
+    doubtful,
+    masked_picture,
+    spread,
+    write_mask_sheet,
 )
-chromium = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(chromium)
+from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5)
 
@@ -77,70 +72,47 @@ def test_a_sheet_shows_frames_from_all_over(recording, tmp_path):
     assert spread(list(range(100)), 5) == [0, 25, 50, 74, 99]
 
 
-def test_stopping_without_keeping_leaves_the_recording_alone(recording):
-    before = (recording.folder / "recording.json").read_bytes()
-    stop = threading.Event()
-    kept = segment_live(
-        SegmentationSetup(recording, CAMERA), stop=stop, opened=lambda _: stop.set()
+def test_a_fold_that_halves_the_area_slowly_is_no_doubt():
+    assert not doubtful(np.linspace(6000.0, 3000.0, 40)).any()
+
+
+def test_a_piece_that_is_lost_and_a_gain_are_named():
+    areas = np.full(30, 5000.0)
+    areas[12], areas[20], areas[25] = 3000.0, 7000.0, 0.0
+    assert np.flatnonzero(doubtful(areas)).tolist() == [12, 20, 25]
+
+
+def test_it_says_how_much_is_cloth_and_where_to_look():
+    summary = MaskSummary(26, 4100, 0.14, 0.17, 20, tuple(range(10)))
+    first, second = str(summary).splitlines()
+    assert first == (
+        "26 frames with cloth, 14.0 to 17.0 % of the picture (median 4100 pixels); smallest in "
+        "frame 20"
     )
-    assert kept is None
-    assert (recording.folder / "recording.json").read_bytes() == before
+    assert second.startswith("look at frames 0, 1, 2, 3, 4, 5, 6, 7 and 2 more: ")
 
 
-def test_a_click_beside_the_cloth_is_answered_with_what_to_do():
-    film = read_recording(shipped_recording())
-    setup = SegmentationSetup(film, film.cameras[0])
-    answers = []
-
-    def click(address):
-        request = urllib.request.Request(
-            address + "choose",
-            b'{"frame": 0, "click": [3, 3]}',
-            {"Content-Type": "application/json"},
-        )
-        with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(request, timeout=20)
-        answers.append((refused.value.code, json.loads(refused.value.read())["error"]))
-        stop.set()
-
-    stop = threading.Event()
-    assert segment_live(setup, stop=stop, opened=click) is None
-    [(status, told)] = answers
-    assert status == 422
-    assert "click (3, 3)" in told
-    assert "click on the cloth" in told
-    assert not setup.chosen
+def test_a_wrong_click_is_answered_and_what_is_kept_ends_the_page(recording, served, contents):
+    before = contents(recording.folder)
+    page = served(partial(segment_live, SegmentationSetup(recording, CAMERA)))
+    with page:
+        status, told = page.tell("choose", {"frame": 0, "click": [500, 3]})
+        assert status == 422
+        assert "outside the picture" in told["error"]
+        assert contents(recording.folder) == before
+        assert page.tell("choose", {"frame": 0, "box": [25, 15, 126, 96]})[1]["chosen"]
+        page.tell("keep", {})
+    assert sum("top" in frame.mask for frame in page.kept.frames) == 6
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(chromium.find_chromium() is None, reason="no Chromium on this machine")
 @pytest.mark.parametrize("how", ["click", "box"])
-def test_one_click_in_a_browser_shows_all_masks_and_keeps_them(recording, tmp_path, how):
-    found: dict[str, int | None] = {}
-    address, ready, stop = [], threading.Event(), threading.Event()
-
-    def opened(where):
-        address.append(where)
-        ready.set()
-
-    thread = threading.Thread(
-        target=lambda: found.update(
-            kept=segment_live(SegmentationSetup(recording, CAMERA), stop=stop, opened=opened)
-        )
-    )
-    thread.start()
-    try:
-        assert ready.wait(20)
-        blank = tmp_path / "blank.html"
-        blank.write_text("<title>blank</title>")
-        with chromium.opened(chromium.find_chromium(), blank, tmp_path / "profile") as page:
-            look_through(page, address[0], how)
-    finally:
-        stop_later = threading.Timer(20, stop.set)
-        stop_later.start()
-        thread.join(timeout=30)
-        stop_later.cancel()
-    assert sum("top" in frame.mask for frame in found["kept"].frames) == 6
+def test_one_click_in_a_browser_shows_all_masks_and_keeps_them(recording, tmp_path, served, how):
+    page = served(partial(segment_live, SegmentationSetup(recording, CAMERA)))
+    with page, page.browsed(tmp_path) as shown:
+        look_through(shown, how)
+    assert sum("top" in frame.mask for frame in page.kept.frames) == 6
     again = read_recording(recording.folder)
     for frame in again.frames:
         mask = read_mask(frame.mask["top"])
@@ -160,13 +132,8 @@ const g = c.getContext('2d'); g.drawImage(i, 0, 0, 80, 60);
 const d = g.getImageData(3, 3, 1, 1).data; return d[0] - d[2] < 40; })()"""
 
 
-def look_through(page, address, how):
+def look_through(page, how):
     """Choose, look at every frame, keep."""
-    page.call(
-        "Network.emulateNetworkConditions",
-        offline=False, latency=0, downloadThroughput=-1, uploadThroughput=-1,
-    )  # fmt: skip
-    page.call("Page.navigate", url=address)
     page.wait_for("!!document.querySelector('#grid figure img') && facts !== null")
     page.wait_for("document.querySelector('#first').naturalWidth > 0")
     assert page.ask("document.querySelector('#keep').disabled") is True
@@ -199,6 +166,5 @@ def look_through(page, address, how):
     assert page.ask("document.querySelectorAll('#grid figure').length") == 6
     assert page.ask(COUNT % "#grid figure img") > 500
     page.ask("document.querySelector('#keep').click()")
-    page.wait_for("document.querySelector('#words').textContent.includes('6 masks')")
-    assert all(url.startswith((address, "data:", "file:")) for url in page.requests())
+    page.wait_for("document.querySelector('#words').textContent.includes('masks are in')")
     assert page.complaints() == []

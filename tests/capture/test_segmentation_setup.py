@@ -44,31 +44,19 @@ def recording(tmp_path):
     return read_recording(tmp_path / "film")
 
 
-def agreement(found, true):
-    return (found & true).sum() / (found | true).sum()
-
-
-def choose(setup, how):
+@pytest.mark.parametrize("how", ["click", "box"])
+def test_every_frame_has_its_mask_and_what_is_kept_is_what_was_shown(recording, how):
+    setup = SegmentationSetup(recording, recording.cameras[0])
+    assert setup.mask(0) is None
+    with pytest.raises(InvalidConfigError, match="nothing is chosen yet"):
+        setup.keep()
     if how == "click":
         setup.choose_click(0, (70, 50))
     else:
         setup.choose_box(0, (25, 15, 125, 95))
-
-
-@pytest.mark.parametrize("how", ["click", "box"])
-def test_every_frame_has_its_mask_at_once(recording, how):
-    setup = SegmentationSetup(recording, recording.cameras[0])
-    assert not setup.chosen
-    choose(setup, how)
-    assert setup.chosen
     for frame in range(5):
-        assert agreement(setup.mask(frame), cloth_mask(frame)) > 0.95
-
-
-@pytest.mark.parametrize("how", ["click", "box"])
-def test_what_is_kept_is_what_was_shown(recording, how):
-    setup = SegmentationSetup(recording, recording.cameras[0])
-    choose(setup, how)
+        found, true = setup.mask(frame), cloth_mask(frame)
+        assert (found & true).sum() / (found | true).sum() > 0.95
     setup.keep()
     again = read_recording(recording.folder)
     for frame in again.frames:
@@ -82,13 +70,6 @@ def test_what_is_kept_is_what_was_shown(recording, how):
     second.choose_click(4, (45, 60))
     second.keep()
     assert read_recording(recording.folder).provenance["masks_from"]["frame"] == 4
-
-
-def test_without_a_choice_there_is_nothing_to_keep(recording):
-    setup = SegmentationSetup(recording, recording.cameras[0])
-    assert setup.mask(0) is None
-    with pytest.raises(InvalidConfigError, match="nothing is chosen yet"):
-        setup.keep()
 
 
 def test_what_is_not_there_cannot_be_chosen(recording):

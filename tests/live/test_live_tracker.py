@@ -14,7 +14,7 @@ from clothtrack.tracking.picking import Grasp, HeldCloth
 
 @pytest.fixture(scope="module")
 def offline(film):
-    return ct.track(film.recording)
+    return ct.track(film.recording, settings=["search.method=none"])
 
 
 @pytest.fixture(scope="module")

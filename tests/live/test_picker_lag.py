@@ -2,10 +2,12 @@
 
 import pytest
 
+from clothtrack.live import live_action
+
 
 def shifted(film, late_s):
     """The states and the run where a picker's times are so late."""
-    tracker = film.tracker(settings=["search.method=none"])
+    tracker = film.tracker()
     (path,), states = film.recording.picker_paths.values(), []
     for index, frame in enumerate(film.recording.frames):
         for action in film.recording.actions:
@@ -23,8 +25,9 @@ def shifted(film, late_s):
     return states, tracker.close()
 
 
-@pytest.mark.parametrize("late_s", [0.4, -0.4])
-def test_wrong_times_are_told_with_their_size(film, late_s):
+@pytest.mark.parametrize(("late_s", "clouds"), [(0.4, 40), (-0.4, 8)])
+def test_wrong_times_are_told_with_their_size(film, late_s, clouds, monkeypatch):
+    monkeypatch.setattr(live_action, "MOST_FRAMES", clouds)  # of a long action some are kept
     states, run = shifted(film, late_s)
     assert states[0].picker_lag_s == 0.0
     assert states[-1].picker_lag_s == pytest.approx(-late_s, abs=0.11)

@@ -14,14 +14,13 @@ import json
 import os
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
@@ -32,167 +31,54 @@ START_NS = 1_700_000_000_123_456_789
 PATIENCE = duration(seconds=20)
 
 
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
+def message(package, name, /, **fields):
+    """A message type: a class whose fields are given in order."""
+    return make_idl_struct(name, f"{package}::msg::dds_::{name}_", fields)
 
 
-@dataclass
-class Duration(IdlStruct, typename="builtin_interfaces::msg::dds_::Duration_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
-    data: bool
-
-
-@dataclass
-class ColorRGBA(IdlStruct, typename="std_msgs::msg::dds_::ColorRGBA_"):
-    r: float32
-    g: float32
-    b: float32
-    a: float32
-
-
-@dataclass
-class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
-    header: Header
-    height: uint32
-    width: uint32
-    encoding: str
-    is_bigendian: uint8
-    step: uint32
-    data: sequence[uint8]
-
-
-@dataclass
-class RegionOfInterest(IdlStruct, typename="sensor_msgs::msg::dds_::RegionOfInterest_"):
-    x_offset: uint32
-    y_offset: uint32
-    height: uint32
-    width: uint32
-    do_rectify: bool
-
-
-@dataclass
-class CameraInfo(IdlStruct, typename="sensor_msgs::msg::dds_::CameraInfo_"):
-    header: Header
-    height: uint32
-    width: uint32
-    distortion_model: str
-    d: sequence[float64]
-    k: array[float64, 9]
-    r: array[float64, 9]
-    p: array[float64, 12]
-    binning_x: uint32
-    binning_y: uint32
-    roi: RegionOfInterest
-
-
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
-    header: Header
-    pose: Pose
-
-
-@dataclass
-class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedImage_"):
-    header: Header
-    format: str
-    data: sequence[uint8]
-
-
-@dataclass
-class UVCoordinate(IdlStruct, typename="visualization_msgs::msg::dds_::UVCoordinate_"):
-    u: float32
-    v: float32
-
-
-@dataclass
-class MeshFile(IdlStruct, typename="visualization_msgs::msg::dds_::MeshFile_"):
-    filename: str
-    data: sequence[uint8]
-
-
-@dataclass
-class Marker(IdlStruct, typename="visualization_msgs::msg::dds_::Marker_"):
-    header: Header
-    ns: str
-    id: int32
-    type: int32
-    action: int32
-    pose: Pose
-    scale: Vector3
-    color: ColorRGBA
-    lifetime: Duration
-    frame_locked: bool
-    points: sequence[Point]
-    colors: sequence[ColorRGBA]
-    texture_resource: str
-    texture: CompressedImage
-    uv_coordinates: sequence[UVCoordinate]
-    text: str
-    mesh_resource: str
-    mesh_file: MeshFile
-    mesh_use_embedded_materials: bool
-
-
-@dataclass
-class PointField(IdlStruct, typename="sensor_msgs::msg::dds_::PointField_"):
-    name: str
-    offset: uint32
-    datatype: uint8
-    count: uint32
-
-
-@dataclass
-class PointCloud2(IdlStruct, typename="sensor_msgs::msg::dds_::PointCloud2_"):
-    header: Header
-    height: uint32
-    width: uint32
-    fields: sequence[PointField]
-    is_bigendian: bool
-    point_step: uint32
-    row_step: uint32
-    data: sequence[uint8]
-    is_dense: bool
+Time = message("builtin_interfaces", "Time", sec=int32, nanosec=uint32)
+Duration = message("builtin_interfaces", "Duration", sec=int32, nanosec=uint32)
+Header = message("std_msgs", "Header", stamp=Time, frame_id=str)
+Bool = message("std_msgs", "Bool", data=bool)
+ColorRGBA = message("std_msgs", "ColorRGBA", r=float32, g=float32, b=float32, a=float32)
+Image = message(
+    "sensor_msgs", "Image", header=Header, height=uint32, width=uint32, encoding=str,
+    is_bigendian=uint8, step=uint32, data=sequence[uint8],
+)  # fmt: skip
+RegionOfInterest = message(
+    "sensor_msgs", "RegionOfInterest", x_offset=uint32, y_offset=uint32, height=uint32,
+    width=uint32, do_rectify=bool,
+)  # fmt: skip
+CameraInfo = message(
+    "sensor_msgs", "CameraInfo", header=Header, height=uint32, width=uint32, distortion_model=str,
+    d=sequence[float64], k=array[float64, 9], r=array[float64, 9], p=array[float64, 12],
+    binning_x=uint32, binning_y=uint32, roi=RegionOfInterest,
+)  # fmt: skip
+Point = message("geometry_msgs", "Point", x=float64, y=float64, z=float64)
+Vector3 = message("geometry_msgs", "Vector3", x=float64, y=float64, z=float64)
+Quaternion = message("geometry_msgs", "Quaternion", x=float64, y=float64, z=float64, w=float64)
+Pose = message("geometry_msgs", "Pose", position=Point, orientation=Quaternion)
+PoseStamped = message("geometry_msgs", "PoseStamped", header=Header, pose=Pose)
+CompressedImage = message(
+    "sensor_msgs", "CompressedImage", header=Header, format=str, data=sequence[uint8]
+)
+UVCoordinate = message("visualization_msgs", "UVCoordinate", u=float32, v=float32)
+MeshFile = message("visualization_msgs", "MeshFile", filename=str, data=sequence[uint8])
+Marker = message(
+    "visualization_msgs", "Marker", header=Header, ns=str, id=int32, type=int32, action=int32,
+    pose=Pose, scale=Vector3, color=ColorRGBA, lifetime=Duration, frame_locked=bool,
+    points=sequence[Point], colors=sequence[ColorRGBA], texture_resource=str,
+    texture=CompressedImage, uv_coordinates=sequence[UVCoordinate], text=str, mesh_resource=str,
+    mesh_file=MeshFile, mesh_use_embedded_materials=bool,
+)  # fmt: skip
+PointField = message(
+    "sensor_msgs", "PointField", name=str, offset=uint32, datatype=uint8, count=uint32
+)
+PointCloud2 = message(
+    "sensor_msgs", "PointCloud2", header=Header, height=uint32, width=uint32,
+    fields=sequence[PointField], is_bigendian=bool, point_step=uint32, row_step=uint32,
+    data=sequence[uint8], is_dense=bool,
+)  # fmt: skip
 
 
 class Player:

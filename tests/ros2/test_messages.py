@@ -12,7 +12,6 @@ from clothtrack_capture.ros2.mesh_messages import (
     MARKER,
     POINT_CLOUD,
     TriangleMarker,
-    corner_values,
     vertex_cloud,
 )
 from clothtrack_capture.ros2.message_types import dds_name, dds_type, idl_struct, ros_name
@@ -117,12 +116,6 @@ def test_a_cloud_has_a_point_for_each_vertex_in_their_order(rng):
         layout = "<" + letters[field.datatype]
         told = [struct.unpack_from(layout, bytes(cloud.data), place)[0] for place in places]
         np.testing.assert_array_equal(told, np.asarray(wanted, np.float32))
-
-
-def test_corners_follow_the_faces():
-    faces = np.array([[0, 1, 2], [2, 1, 3]])
-    values = np.arange(8.0).reshape(4, 2)
-    np.testing.assert_array_equal(corner_values(values, faces)[:, 0], [0, 2, 4, 4, 2, 6])
 
 
 def test_a_picture_of_counts_or_meters_is_in_meters_and_nothing_is_zero():

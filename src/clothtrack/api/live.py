@@ -22,10 +22,9 @@ class LiveTracker(live_tracker.LiveTracker):
 
     Call `update` with every picture, in order. An action begins with the first picture in which a
     picker is closed and ends 0.2 s after all have opened; between actions the mesh rests. Without a
-    gripper, call `begin_action` and `end_action` instead. The search for candidates runs in
-    parallel with the stream; `settings=["search.method=none"]` turns it off. If no picture is
-    missing, the result for a recording is that of `track`. `close` waits for the searches and
-    returns a `Run`.
+    gripper, call `begin_action` and `end_action` instead. Candidates are not searched; the settings
+    of the search have no effect. If no picture is missing, the result for a recording is that of
+    `track` with `search.method=none`. `close` returns a `Run`.
     """
 
     def __init__(

@@ -31,8 +31,8 @@ def play_live(
 
     A page on this machine shows the mesh over the observation, its latency, and which part of the
     cloth is lost. Pictures that arrive while an older one is tracked are dropped, except the
-    newest. The search for each action runs in parallel. The last lines give the latency and the
-    verdict on the result.
+    newest. Candidates are not searched. The last lines give the latency and the verdict on the
+    result.
 
     Args:
         recording: a recording folder.
@@ -88,8 +88,6 @@ def play_live(
         with LiveStream(tracker, served) as stream:
             play(source, stream)
         words[0] = f"all pictures are served, latency {latencies.text()}"
-        if config.search.method != "none":
-            words[0] += "; candidates may still be searched (Ctrl-C leaves out what is not done)"
         run = tracker.close(source)
         run.save(path)
         text = f"latency  {latencies.text()}\ntracked  {path}\nverdict  {run.verdict}"

@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clothtrack.live.growing_recording import GrowingRecording
-from clothtrack.live.search_beside import Asked, in_tracked_frames
-from clothtrack.live.search_process import Question, Standing
-from clothtrack.live.seen_log import SeenLog, unpacked
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
-from clothtrack.recordings.geometry_checks.picker_clock import (
+from clothtrack.recordings.geometry_checks.picker import (
     FARTHEST_LAG_S,
+    LAG_FRAMES,
     ClockLag,
     picker_lag,
 )
@@ -21,7 +19,7 @@ from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.algorithm import Tracked, begin_action, end_action, track_frame
 from clothtrack.tracking.methods import Components
 from clothtrack.tracking.picking import HeldCloth
-from clothtrack.tracking.protocols import Candidate, Method, State, TrackedCandidate
+from clothtrack.tracking.protocols import Candidate, Method, State
 from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
@@ -62,16 +60,16 @@ class LiveAction:
         by_gripper: bool,
     ) -> None:
         """Begin with a frame in which the cloth lies still."""
-        self._standing = Standing(state, theta, dict(components.anchors.bound))
-        self._log = SeenLog()
-        self._hurried, self._paths = False, dict[str, PickerPath]()
-        self._known: TrackedCandidate | None = None
         begin_action(first, state, method)
         self._growing, self._components = growing, components
         self._method, self._recorder = method, recorder
         self._first, self._start, self._theta = first, state, theta
         self._by_gripper, self._opened_s = by_gripper, np.inf
         self._held, self._closed = HeldCloth((), np.zeros(3)), set[str]()
+        self._paths: Mapping[str, PickerPath] = {}
+        self._times_s: list[float] = []
+        self._seen: list[tuple[float, Observation]] = []
+        self._stride = 1
         self._place = len(growing.recording.actions) - 1
         action = growing.recording.actions[self._place]
         self._notes = recorder.begin(action, Candidate(theta, self._held))
@@ -116,7 +114,6 @@ class LiveAction:
         grasps = self._grasps(self._growing.recording.picker_paths)
         if frame.index > self._tracked.frame.index + 1:
             grasps = HurriedCloth(grasps.grasps, grasps.offset)
-            self._hurried |= frame.time_s - self._tracked.frame.time_s > LONGEST_GAP_S
         self._tracked = track_frame(
             self._dyn, self._tracked, grasps, frame, method=self._method, notes=self._notes
         )
@@ -124,7 +121,12 @@ class LiveAction:
     def note_seen(self, frame: Frame, seen: Observation) -> None:
         """Record the observation of a tracked frame, and the paths so far."""
         self._paths = dict(self._growing.recording.picker_paths)
-        self._log.add(frame, seen, rests=self._tracked.moved_at.index != frame.index)
+        if len(self._times_s) % self._stride == 0:
+            self._seen.append((frame.time_s, seen))
+        self._times_s.append(frame.time_s)
+        if len(self._seen) > 2 * LAG_FRAMES:
+            del self._seen[1::2]
+            self._stride *= 2
 
     def stay(self, frame: Frame) -> None:
         """Keep the mesh unchanged in a frame that shows no cloth."""
@@ -157,38 +159,23 @@ class LiveAction:
             tracked, action=action, candidate=Candidate(self._theta, self._grasps(self._paths)),
             positions=tracked.positions[:count],
         )  # fmt: skip
-        self._known = tracked
         return end_action(
             self._growing.recording, tracked, self.state, Calibration.none(),
             method=self._method, recorder=self._recorder,
         )  # fmt: skip
 
-    def asked(self, *, behind: bool) -> Asked | None:
-        """Return the search request for the ended action; None if it cannot be searched."""
-        log, known = self._log, self._known
-        if known is None:
-            return None
-        question = Question(
-            tuple(log.times_s), tuple(log.rests), b"", known.action.pickers, self._paths,
-            None if behind else self._standing,
-            # Over a long gap the dynamics were shortened, unlike those of other candidates.
-            None if behind or self._hurried else in_tracked_frames(known, log.frames),
-        )  # fmt: skip
-        return Asked(self._place, tuple(log.frames), question, log)
-
     def picker_lag(self) -> ClockLag | None:
         """Return the lag of the pickers' clock in the ended action; None if there is none."""
-        seen, times_s = unpacked(self._log.packed()), self._log.times_s
-        since_s = times_s[0] - FARTHEST_LAG_S
+        since_s = self._times_s[0] - FARTHEST_LAG_S
         recording = replace(
             self._growing.recording,
-            frames=[Frame(index, time_s) for index, time_s in enumerate(times_s)],
-            actions=[PickAndPlace(0, len(times_s) - 1, tuple(sorted(self._closed)))],
+            frames=[Frame(index, time_s) for index, (time_s, _) in enumerate(self._seen)],
+            actions=[PickAndPlace(0, len(self._seen) - 1, tuple(sorted(self._closed)))],
             picker_paths={name: path.since(since_s) for name, path in self._growing.paths.items()},
         )
-        frames = ObservedFrames(recording, cloud=lambda frame: seen[frame.index])
-        lag = picker_lag(recording, frames)
-        return lag if lag is not None and lag.is_wrong(times_s) else None
+        frames = ObservedFrames(recording, cloud=lambda frame: self._seen[frame.index][1])
+        lag = picker_lag(frames)
+        return lag if lag is not None and lag.is_wrong(self._times_s) else None
 
     def _grasps(self, paths: Mapping[str, PickerPath]) -> HeldCloth:
         """Return the grasps with the current paths."""

@@ -58,7 +58,6 @@ class LiveJudge:
         self._label = np.asarray(mesh.vertices, np.float64)
         self._shift_m = self._travelled_m = 0.0
         self._actions, self._asked_s = 0, -np.inf
-        self._before = self._label, self._travelled_m
 
     @property
     def latest(self) -> Judgment:
@@ -90,24 +89,10 @@ class LiveJudge:
     ) -> None:
         """Record the mesh at the end of an action [m], before and after its final alignment."""
         after = after.astype(np.float64)
-        self._before = self._label, self._travelled_m
         self._travelled_m += mean_distance(after, self._label)
         self._shift_m = mean_distance(after, before.astype(np.float64))
         self._label, self._asked_s = after, -np.inf
         self._actions += 1
-
-    def end_otherwise(
-        self, before: Float[np.ndarray, "vertices 3"], after: Float[np.ndarray, "vertices 3"]
-    ) -> None:
-        """Replace the mesh at the end of the last action [m]; arguments as in `end_action`."""
-        self._label, self._travelled_m = self._before
-        self._actions -= 1
-        self.end_action(before, after)
-
-    def wait(self) -> None:
-        """Wait for a running judgment."""
-        if self._busy is not None:
-            self._busy.exception()
 
     def close(self) -> None:
         """End the thread."""

@@ -23,11 +23,6 @@ class LiveState:
         acting: whether an action is in progress.
         settling: whether the final alignment of the last action is still running in parallel with
             the stream; a later state includes it.
-        searching: whether candidates of an ended action are still being tracked in parallel with
-            the stream. The result replaces the mesh at the next picture between actions; an action
-            that begins earlier starts from the mesh that was tracked live.
-        astray: whether the mesh has lost the cloth, with a fifth of the vertices lost in two
-            judgments. Once no picker holds the cloth, the network computes another mesh.
         picker_lag_s: delay of the cloth's motion after the closed picker's in the last action, in
             the given times [s]; below 0 if the picker's times are late, 0 if no lag was found.
         held: vertices that each closed picker holds, by its name.
@@ -49,8 +44,6 @@ class LiveState:
     judged_s: float
     acting: bool
     settling: bool
-    searching: bool
-    astray: bool
     picker_lag_s: float
     held: Mapping[str, tuple[int, ...]]
     latency_s: float

@@ -1,37 +1,100 @@
 """Tracking of a cloth picture by picture, as they come from the camera.
 
 The steps are those of `tracking.algorithm`, in the same order, and the same pictures give the same
-result bit for bit. The final alignment of an action (TTO2) and the search of its candidates run in
+result bit for bit as `track` without a search. The final alignment of an action (TTO2) runs in
 parallel with the stream, and pictures may be missing.
 """
 
 import time
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.live.eyes import Eyes
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.live.growing_recording import GrowingRecording, Picker
 from clothtrack.live.live_action import LiveAction
-from clothtrack.live.live_parts import LiveParts
+from clothtrack.live.live_judge import LiveJudge
 from clothtrack.live.live_state import LiveState
-from clothtrack.live.recovery import Found, Recovery
-from clothtrack.live.search_beside import Asked, SearchBeside
-from clothtrack.live.warm_up import warm_up
-from clothtrack.recordings.geometry_checks.picker_clock import ClockLag
+from clothtrack.recordings.geometry_checks.picker import ClockLag
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import ClothDescription, Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.tracking.configuration import RunConfig
-from clothtrack.tracking.pipeline import Judge, provenance
-from clothtrack.tracking.protocols import State, Watch
+from clothtrack.tracking.configuration import InitialStateConfig, ModeName, RunConfig
+from clothtrack.tracking.configuration import mode as settings_of_mode
+from clothtrack.tracking.methods import METHODS, Components
+from clothtrack.tracking.pipeline import Judge, checked_initial_state, observer, provenance
+from clothtrack.tracking.protocols import Method, State, Watch
+from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+_CLOUDS_KEPT = 3
+"""Number of cached clouds: this frame, the one before, and the reference of resting cloth."""
+
+_FOLLOWED_KEPT = 64
+"""Number of frames with cached followed points. The final alignment of an action needs those of its
+last frame a moment later."""
+
+
+class _Eyes:
+    """Source of the clouds; a thread observes the newest picture while the dynamics predict.
+
+    Attributes:
+        cloud: function that observes a frame; it needs the first frame.
+        spent_s: CPU time of the newest cloud [s].
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-eyes")
+        self._looks: dict[int, Future[Observation]] = {}
+        self.cloud: Callable[[Frame], Observation]
+        self.spent_s = 0.0
+
+    def begin(self, frame: Frame) -> None:
+        """Begin observing the newest frame."""
+        self._looks = {frame.index: self._thread.submit(self._look, frame)}
+
+    def observe(self, frame: Frame) -> Observation:
+        """Return the cloud of a frame; for the newest, wait for the thread."""
+        look = self._looks.pop(frame.index, None)
+        return self.cloud(frame) if look is None else look.result()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.shutdown()
+
+    def _look(self, frame: Frame) -> Observation:
+        start_s = time.thread_time()
+        seen = self.cloud(frame)
+        self.spent_s = time.thread_time() - start_s
+        return seen
+
+
+@dataclass(eq=False)
+class _Parts:
+    """Method of a live tracker, with its state and records.
+
+    Attributes:
+        state: the cloth between actions; during an action, at its beginning.
+        gap_m: distance of the first mesh from its cloud [m].
+    """
+
+    components: Components
+    method: Method
+    state: State
+    theta: Theta
+    recorder: Recorder
+    judge: LiveJudge
+    gap_m: float | None
+    origin: Mapping[str, object]
 
 
 class LiveTracker:
@@ -62,26 +125,22 @@ class LiveTracker:
         See `clothtrack.LiveTracker` for the arguments. With `warm`, a small cloth is tracked first
         to load the kernels before the first picture. This takes a second or two, once per process.
         """
-        self._config = config or RunConfig()
+        config = config or RunConfig()
+        self._config = replace(config, search=replace(config.search, method="none"))
         self._find_table = isinstance(table, str)
         self._growing = GrowingRecording(
             name, camera, None if isinstance(table, str) else table, cloth
         )
         self._segmenter, self._device, self._watch = segmenter, device, watch
         self._keep_pictures, self._force = keep_pictures, force
-        self._eyes = Eyes()
+        self._eyes = _Eyes()
         self._finisher = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-final")
-        self._recovery = Recovery(self._config.initial_state, segmenter, device)
-        self._parts: LiveParts | None = None
+        self._parts: _Parts | None = None
         self._action: LiveAction | None = None
         self._over: tuple[LiveAction, Frame] | None = None
         self._final: Future[tuple[Theta, State] | None] | None = None
         self._lags: list[Future[ClockLag | None]] = []
         self._lag: ClockLag | None = None
-        self._search: SearchBeside | None = None
-        self._searches: list[dict[str, object]] = []
-        self._newest: Asked | None = None
-        self._linked = self._behind = False
         self._seen_from: tuple[np.ndarray, np.ndarray] | None = None
         self._closed_before = set[str]()
         self._begins = self._ends = False
@@ -90,7 +149,7 @@ class LiveTracker:
         self._spent_s: dict[str, float] = {}
         self._closed = False
         if warm:
-            warm_up(LiveTracker, self._config.mode, self._config.color, device)
+            _warm_up(self._config.mode, self._config.color, device)
 
     @property
     def segmenter(self) -> Segmenter | None:
@@ -181,7 +240,6 @@ class LiveTracker:
         if self._closed:
             raise InvalidConfigError("the tracker is closed; make another one")
         self._finish(wait=False)
-        self._take_searched(wait=False)
         self._compare_clocks(wait=False)
         self.move_picker(time_s, picker or {})
         index = len(self.recording.frames)
@@ -201,8 +259,6 @@ class LiveTracker:
         seen = self._track(frame, self._parts, closed, begins=begins, ends=ends)
         if index and not self._keep_pictures:
             self._growing.forget_pictures(index - 1)
-        if seen is not None:
-            self._recover(frame, self._parts, seen)
         state = self._state(frame, self._parts, seen, began)
         if self._over is not None and self._final is None:
             # The simulator is free until the next action begins.
@@ -213,8 +269,6 @@ class LiveTracker:
         self, recording: Recording | None = None, judge: Judge | None = None
     ) -> tuple[TrackedTrajectory, Recording]:
         """End the current action; return the tracked trajectory and its recording.
-
-        Pending searches are completed; Ctrl-C skips the unfinished ones.
 
         Args:
             recording: the recording that was played, if any; by default the live recording.
@@ -229,13 +283,9 @@ class LiveTracker:
         if self._action is not None:
             self._end(self._action, self._action.tracked_frame)
         self._finish(wait=True)
-        self._take_searched(wait=True)
         self._compare_clocks(wait=True)
         self._closed = True
-        if self._search is not None:
-            self._search.close()
         self._eyes.close()
-        self._recovery.close()
         self._finisher.shutdown()
         parts.judge.close()
         source = recording or self._growing.finished()
@@ -244,8 +294,6 @@ class LiveTracker:
             "first_mesh_gap_m": parts.gap_m,
             "live": {
                 "dropped": self._dropped,
-                "begun_anew": parts.begun_anew,
-                "searches": self._searches,
                 "picker_lag_s": None if self._lag is None else self._lag.lag_s,
             },
         }
@@ -260,20 +308,33 @@ class LiveTracker:
             tracked = replace(tracked, verdict_fields=verdict)
         return tracked, source
 
-    def _start(self, frame: Frame) -> LiveParts:
+    def _start(self, frame: Frame) -> _Parts:
         """Find the first mesh and create its method."""
         if self._find_table:
             self._growing.find_table()
         self._growing.show_paths(frame.index)
-        self._eyes.open(self.recording, self._config, self._segmenter)
-        parts = LiveParts.of_first(
-            self.recording, self._config, self._eyes.observe, segmenter=self._segmenter,
-            device=self._device, force=self._force,
+        recording, device = self.recording, self._device
+        self._eyes.cloud = observer(
+            recording, self._config.cloud_spacing_m, self._segmenter, color=self._config.color,
+            kept=_CLOUDS_KEPT, followed=_FOLLOWED_KEPT,
+        )  # fmt: skip
+        observe = self._eyes.observe
+        first, gap_m = checked_initial_state(
+            recording, observe(frame), self._config.initial_state, segmenter=self._segmenter,
+            device=device, force=self._force,
+        )  # fmt: skip
+        components = Components(
+            recording, first.mesh, self._config, observe, first.positions, device
+        )  # fmt: skip
+        made = METHODS[self._config.mode](components)
+        recorder = Recorder(
+            recording, first.mesh, made.state, components.visible, on_disk=True,
             watch=None if self._watch is None else self._show,
         )  # fmt: skip
-        if self._config.search.method != "none":
-            self._search = SearchBeside(parts.setup(self._eyes.observe(frame)))
-        return parts
+        return _Parts(
+            components, recorder.timed(made.method), made.state, made.theta, recorder,
+            LiveJudge(first.mesh, device), gap_m, first.origin,
+        )  # fmt: skip
 
     def _show(
         self, recording: Recording, mesh: ClothMesh, frame: Frame, positions: np.ndarray
@@ -304,7 +365,7 @@ class LiveTracker:
         return begins, ends
 
     def _track(
-        self, frame: Frame, parts: LiveParts, closed: set[str], *, begins: bool, ends: bool
+        self, frame: Frame, parts: _Parts, closed: set[str], *, begins: bool, ends: bool
     ) -> Observation | None:
         """Track the mesh into a frame; return its cloud, or None if no cloth is found."""
         action = self._action
@@ -330,12 +391,9 @@ class LiveTracker:
         self._closed_before = closed
         return seen
 
-    def _begin(self, parts: LiveParts, first: Frame, closed: set[str], seen: Observation) -> None:
+    def _begin(self, parts: _Parts, first: Frame, closed: set[str], seen: Observation) -> None:
         """Begin an action with a frame, from the end state of the previous one."""
         self._finish(wait=True)
-        self._take_searched(wait=False)
-        self._newest = None
-        self._behind = self._linked and self._search is not None and self._search.busy
         by_gripper, self._begins, self._ends = not self._begins, False, False
         self._growing.show_paths(first.index)
         self._action = LiveAction(
@@ -363,8 +421,6 @@ class LiveTracker:
             parts.theta, parts.state = ended
             parts.judge.end_action(before, parts.state.positions[0])
             self._lags.append(self._finisher.submit(action.picker_lag))
-            if self._search is not None:
-                self._ask(self._search, action)
 
     def _compare_clocks(self, *, wait: bool) -> None:
         """Apply the clock lags measured in ended actions; with `wait`, all of them."""
@@ -378,35 +434,6 @@ class LiveTracker:
                     f"picker times that are {size} by so much (`move_picker`)"
                 )
 
-    def _ask(self, search: SearchBeside, action: LiveAction) -> None:
-        """Queue the search of an ended action, unless the queue is full."""
-        asked = None if search.full else action.asked(behind=self._behind)
-        self._newest, self._linked = asked, asked is not None
-        if asked is not None:
-            search.ask(asked)
-
-    def _take_searched(self, *, wait: bool) -> None:
-        """Store new search results, and use the mesh of the newest action."""
-        search, parts = self._search, self._parts
-        # The final alignment writes to the recorder in another thread.
-        if search is None or parts is None or self._over is not None:
-            return
-        for asked, answer in search.answers(wait=wait):
-            if isinstance(answer, str):
-                note = f"no action is searched any more: {answer}"
-                self._notes += [] if note in self._notes else [note]
-                continue
-            parts.keep_searched(asked, answer)
-            row = {"action": asked.number, "candidates": len(answer.calibration.scores)}
-            if asked is self._newest:
-                moved_m = parts.stand(answer)
-                row |= {"frame": len(self.recording.frames), "moved_m": moved_m}
-                if moved_m > 0.0:
-                    self._notes.append(
-                        f"the search of the last action moves the mesh by {1e3 * moved_m:.1f} mm"
-                    )
-            self._searches.append(row)
-
     def _unseen(self, frame: Frame, *, begins: bool, words: str) -> None:
         """Keep the mesh in a picture without cloth, and postpone beginnings and ends."""
         self._notes.append(words)
@@ -416,26 +443,8 @@ class LiveTracker:
             self._action.announce_last(None)
             self._action.stay(frame)
 
-    def _recover(self, frame: Frame, parts: LiveParts, seen: Observation) -> None:
-        """Detect that the mesh has lost the cloth, and restart from the network's mesh."""
-        recovery, said = self._recovery, self._notes
-        said += [note for note in [recovery.look(parts.judge.latest)] if note]
-        if self._action is not None or self._over is not None:
-            return
-        answer = recovery.answer()
-        if answer is not None and not isinstance(answer, str):
-            positions = parts.state.positions[0]
-            answer = recovery.better(answer, parts.components.mesh, positions, seen)
-        if isinstance(answer, Found):
-            parts.begin_anew(answer, frame)
-            self._newest, self._linked = None, False
-            answer = "the mesh begins anew, from the network's of an earlier picture"
-        said += [answer] if answer else []
-        if recovery.astray:
-            recovery.ask(self.recording, frame)
-
     def _state(
-        self, frame: Frame, parts: LiveParts, seen: Observation | None, began_s: float
+        self, frame: Frame, parts: _Parts, seen: Observation | None, began_s: float
     ) -> LiveState:
         """Return the state of the cloth in a frame."""
         components, action = parts.components, self._action
@@ -459,8 +468,6 @@ class LiveTracker:
             judged_s=judged.time_s + self._growing.zero_s,
             acting=action is not None,
             settling=self._over is not None,
-            searching=self._search is not None and self._search.busy,
-            astray=self._recovery.astray,
             picker_lag_s=0.0 if self._lag is None else self._lag.lag_s,
             held={} if action is None else action.held,
             latency_s=time.perf_counter() - began_s,
@@ -468,3 +475,36 @@ class LiveTracker:
             dropped=self._dropped,
             notes=notes,
         )
+
+
+_WARM_HEIGHT_M = 0.5
+_WARM_RESTING_M = 0.0015
+
+
+@cache
+def _warm_up(mode: ModeName, color: bool, device: str) -> None:
+    """Track a lifted towel corner with every step of a mode, once per process."""
+    towel = garment("towel", vertex_count=150, size_m=(0.15, 0.15))
+    vertices = towel.vertices + (0.0, 0.0, _WARM_RESTING_M - towel.vertices[:, 2].min())
+    towel = towel.with_vertices(vertices - np.append(vertices[:, :2].mean(axis=0), 0.0))
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = _WARM_HEIGHT_M
+    camera = Camera("warm_up", 160, 120, 150.0, 150.0, 79.5, 59.5, pose)
+    drawn = Rasterizer(towel.faces, camera, device=device).render(towel.vertices)
+    mask = drawn.faces >= 0
+    depth = np.where(mask, drawn.depth, _WARM_HEIGHT_M).astype(np.float32)
+    noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    tracker = LiveTracker(
+        ClothDescription("towel", template=towel), camera,
+        table=Table(np.zeros(3), np.array([0.0, 0.0, 1.0])), device=device, force=True, warm=False,
+        config=replace(
+            settings_of_mode(mode), color=color, initial_state=InitialStateConfig()
+        ),
+    )  # fmt: skip
+    corner = towel.vertices[np.argmax(towel.vertices[:, :2].sum(axis=1))]
+    for step in range(4):
+        tip = corner + (-0.005 * step, -0.005 * step, 0.005 * step)
+        if step == 3:
+            tracker.end_action()
+        tracker.update(0.05 * step, depth, noise, mask, {"tip": (tip, 0 < step < 3)})
+    tracker.tracked()

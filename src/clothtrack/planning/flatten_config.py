@@ -28,7 +28,7 @@ class FlattenConfig(Checked):
 
     Attributes:
         policy: "planned"; or the name of a policy without any mesh
-            (`baselines.flattening_policies`).
+            (`clothtrack_lab.flattening`).
         perception: estimator of the cloth state.
         dynamics: "simulator", or "mesh" for the learned dynamics.
         dynamics_weights: file with the weights of the learned dynamics; "": the shipped weights.

@@ -106,7 +106,7 @@ class Flattening:
             raise InvalidConfigError("policy is planned; it needs a perception and dynamics")
         if not is_planned and propose is None:
             raise InvalidConfigError(
-                f"policy is {config.policy}; hand in what it proposes (clothtrack_lab.baselines)"
+                f"policy is {config.policy}; hand in what it proposes (clothtrack_lab.flattening)"
             )
         self._robot, self._scene, self._config = robot, scene, config
         self._perception = perception if is_planned else None

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from clothtrack._shown import short_repr
 from clothtrack.errors import ClothTrackError
-from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.checks import check_geometry
 from clothtrack.recordings.geometry_checks.finding import Finding, reaches_rim
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.point_cloud import observe
@@ -101,8 +101,7 @@ def inspect(folder: Recording | Path | str) -> Inspection:
         if recording is None:
             return Inspection(folder, {}, (), checked.violations)
     geometry = check_geometry(recording)
-    notes = _notes(recording, cut_off=any(f.kind == "cloth_leaves_picture" for f in geometry))
-    return Inspection(folder, _facts(recording), notes, (), geometry)
+    return Inspection(folder, _facts(recording), _notes(recording), (), geometry)
 
 
 def _facts(recording: Recording) -> dict[str, str]:
@@ -189,8 +188,8 @@ def _cloth(recording: Recording) -> str:
     return ", ".join(parts)
 
 
-def _notes(recording: Recording, *, cut_off: bool) -> tuple[str, ...]:
-    """Return what is worth knowing; a cloth that leaves the picture is mentioned once."""
+def _notes(recording: Recording) -> tuple[str, ...]:
+    """Return what is worth knowing."""
     notes = []
     if not recording.actions:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
@@ -206,7 +205,7 @@ def _notes(recording: Recording, *, cut_off: bool) -> tuple[str, ...]:
             f"frame 0 shows {len(observation.points)} points of cloth at 4 mm, "
             f"{extent[0]:.2f} x {extent[1]:.2f} x {extent[2]:.2f} m along x, y, z"
         )
-        if reaches_rim(observation) and not cut_off:
+        if reaches_rim(observation):
             notes.append(
                 "the cloth reaches the rim of the picture in frame 0, and tracking needs all of it "
                 "in the picture: move the camera or the cloth"

@@ -77,18 +77,12 @@ def end_action(
     recorder: Recorder,
 ) -> tuple[Theta, State]:
     """Align the cloth once more at the end of an action: line 9."""
-    state, losses = aligned_end(recording, best, state, method)
-    recorder.keep(best, state, losses, calibration)
-    return best.candidate.theta, state
-
-
-def aligned_end(
-    recording: Recording, best: TrackedCandidate, state: State, method: Method
-) -> tuple[State, tuple[float, float]]:
-    """Return the cloth after an action's TTO2, and the objective [m^2] before and after."""
     last = recording.frames[best.action.last_frame]
     held = best.candidate.grasps.closed_at(last.time_s)
-    return method.align_last(state, best.candidate.theta, method.observe(last), held)  # TTO2
+    theta = best.candidate.theta
+    state, losses = method.align_last(state, theta, method.observe(last), held)  # TTO2
+    recorder.keep(best, state, losses, calibration)
+    return theta, state
 
 
 def track_action(

@@ -80,7 +80,6 @@ class Components:
     Attributes:
         mesh: the flat cloth in the world [m]; its edges give the rest lengths.
         start: vertices at the first frame [m], if the cloth does not lie flat there.
-        first_frame: index of the frame at which the method begins.
     """
 
     recording: Recording
@@ -89,7 +88,6 @@ class Components:
     observe: Observe
     start: Float[np.ndarray, "vertices 3"] | None = None
     device: str = "cpu"
-    first_frame: int = 0
 
     @cached_property
     def visible(self) -> VisibilityCheck:
@@ -257,7 +255,7 @@ def aligned_first(components: Components, method: Method, state: State) -> State
     The rest lengths stay those of the first mesh.
     """
     recording, positions = components.recording, state.positions[0]
-    first = recording.frames[components.first_frame]
+    first = recording.frames[0]
     observation, start_s = components.observe(first), first.time_s
     visible = components.visible(positions)
     observed = visible & ~observation.unobservable(positions.astype(np.float64))

@@ -25,17 +25,11 @@ from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import require_workers
-from clothtrack.recordings.camera_view import CameraView, camera_views
-from clothtrack.recordings.geometry_checks.all_checks import check_geometry
-from clothtrack.recordings.geometry_checks.camera_checks import unit_findings
-from clothtrack.recordings.geometry_checks.clock_checks import (
-    gap_remedy,
-    held_over,
-    time_findings,
-)
+from clothtrack.recordings.camera_view import camera_views
+from clothtrack.recordings.geometry_checks.checks import UNIT_CHECKS, check_geometry
+from clothtrack.recordings.geometry_checks.cloth import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
-from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
-from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer
+from clothtrack.recordings.geometry_checks.picker import gap_remedy, held_over
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 from clothtrack.recordings.point_cloud import SPACING_M, Observation, observation_of
 from clothtrack.recordings.point_following import PointFollower
@@ -61,9 +55,6 @@ _LONGEST_HELD_GAP_S = 10.0
 Judge = Callable[..., Mapping[str, Any]]
 """Return the verdict on a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
 device=, frames=)`. It is passed in because tracking does not depend on evaluation."""
-
-Look = Callable[[Frame, Sequence[CameraView]], None]
-"""Called with the camera views of a frame after they have been decoded and segmented."""
 
 _PARTS = tuple(part.name for part in fields(Method))
 """The functions of Algorithm 1 that a caller may replace (`tracking.protocols.Method`)."""
@@ -92,7 +83,6 @@ def observer(
     segmenter: Segmenter | None = None,
     *,
     color: bool = False,
-    look: Look | None = None,
     kept: int = _CLOUDS_KEPT,
     followed: int | None = None,
 ) -> Callable[[Frame], Observation]:
@@ -111,8 +101,6 @@ def observer(
         frame = recording.frames[frame_index]
         looks = follower is not None and not follower.knows(frame)
         views = camera_views(recording, frame, segmenter, color=looks)
-        if look is not None:
-            look(frame, views)
         observation = observation_of(recording, frame, views, spacing_m=spacing_m or None)
         if follower is None:
             return observation
@@ -145,11 +133,7 @@ def track_recording(
     _refuse_held_gaps(recording)
     clock = time.process_time()
     stamp = provenance(recording, config, device)
-    reducer = PictureReducer(recording)
-    cloud = observer(
-        recording, config.cloud_spacing_m, segmenter, color=config.color,
-        look=None if judge is None else reducer.look,
-    )  # fmt: skip
+    cloud = observer(recording, config.cloud_spacing_m, segmenter, color=config.color)
     if progress is not None:
         progress(f"{recording.name}: first mesh", 0, 0)
     first, gap_m = checked_initial_state(
@@ -176,7 +160,7 @@ def track_recording(
         return tracked
     # The verdict uses the recording with the default segmentation and cloud spacing.
     as_usual = segmenter is None and config.cloud_spacing_m == SPACING_M
-    frames = ObservedFrames(recording, cloud if as_usual else None, reducer)
+    frames = ObservedFrames(recording, cloud if as_usual else None)
     verdict = judge(tracked, recording, segmenter=segmenter, device=device, frames=frames)
     return replace(tracked, verdict_fields=verdict)
 
@@ -203,15 +187,11 @@ def _refuse_wrong_units(recording: Recording) -> None:
 
     Simulating a minute per frame would take hours, and so would the points of a cloth of 4 m.
     """
-    for finding in time_findings(recording):
-        if finding.kind == "clock_unit" and finding.unit == "s":
+    for finding in check_geometry(recording, checks=UNIT_CHECKS):
+        if finding.unit != "m/s":  # A tip that is too fast or too slow takes no longer.
             raise InvalidRecordingError(
                 f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
             )
-    for finding in unit_findings(recording):
-        raise InvalidRecordingError(
-            f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
-        )
 
 
 def _refuse_held_gaps(recording: Recording) -> None:

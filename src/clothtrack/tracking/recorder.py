@@ -118,9 +118,6 @@ class Recorder:
         state: State,
         losses: tuple[float, float],
         calibration: Calibration,
-        *,
-        again: int | None = None,
-        until: int | None = None,
     ) -> None:
         """Store the chosen candidate of an action with its final alignment.
 
@@ -128,14 +125,13 @@ class Recorder:
             losses: objective of TTO2 [m^2], before and after.
         """
         self._reach(len(self._recording.frames))
-        number = len(self._actions) if again is None else again
         action = best.action
         within = slice(action.first_frame + 1, action.last_frame + 1)
         end = np.asarray(state.positions[0], np.float32)
         self._meshes.write(within.start, best.positions)
-        self._meshes.fill(action.last_frame, len(self._meshes) if until is None else until, end)
+        self._meshes.fill(action.last_frame, len(self._meshes), end)
         self._records.adopt(best.records, within)
-        self._ends.write(2 * number, np.stack([best.positions[-1], end]))
+        self._ends.write(2 * len(self._actions), np.stack([best.positions[-1], end]))
         kept = TrackedAction(
             first_frame=action.first_frame,
             last_frame=action.last_frame,
@@ -146,17 +142,9 @@ class Recorder:
             calibration=calibration,
             held_vertices=best.candidate.grasps.held_vertices,
         )
-        self._actions[number : number + 1] = [kept]
-        if again is None:
-            self._begun = 0
-            self._show(self._recording.frames[action.last_frame], end)
-
-    def begin_anew(self, frame: Frame, state: State) -> None:
-        """Store a new state of the cloth from a frame on, without an action that led to it."""
-        mesh = np.asarray(state.positions[0], np.float32)
-        self._reach(len(self._recording.frames))
-        self._meshes.fill(frame.index, len(self._meshes), mesh)
-        self._show(frame, mesh)
+        self._actions.append(kept)
+        self._begun = 0
+        self._show(self._recording.frames[action.last_frame], end)
 
     def trajectory(self) -> TrackedTrajectory:
         """Return everything that was stored."""

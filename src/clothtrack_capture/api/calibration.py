@@ -55,7 +55,7 @@ def calibrate_camera(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: no table or board is found.
     """
-    from clothtrack_capture.api.given import opened_recording, place_of, reported
+    from clothtrack_capture.amendment import opened_recording, place_of, reported
     from clothtrack_capture.board import Board
     from clothtrack_capture.camera_pose import (
         camera_named,

@@ -48,7 +48,7 @@ def find_picker(
         InvalidConfigError: the options contradict each other, or there is no such camera.
         InvalidRecordingError: the recording has no table, or nothing is found.
     """
-    from clothtrack_capture.api.given import opened_recording, place_of, reported
+    from clothtrack_capture.amendment import opened_recording, place_of, reported
     from clothtrack_capture.camera_pose import camera_named
     from clothtrack_capture.picker_detection import require_unmeasured
 
@@ -130,7 +130,7 @@ def _by_hand(
     if picking.clicks:
         kept = picking.keep(name)
     else:
-        from clothtrack_capture.picking_page import pick_live
+        from clothtrack_capture.click_pages import pick_live
 
         kept = pick_live(picking, name, opened=opened)
     if kept is None:

@@ -39,15 +39,15 @@ def segment(
         InvalidConfigError: there is no such camera or frame.
         InvalidRecordingError: a picture cannot be read, or nothing is cloth.
     """
-    from clothtrack_capture.api.given import opened_recording, place_of, reported
+    from clothtrack_capture.amendment import opened_recording, place_of, reported
     from clothtrack_capture.camera_pose import camera_named
-    from clothtrack_capture.mask_summary import summary_of
+    from clothtrack_capture.mask_pictures import summary_of
     from clothtrack_capture.segmentation_setup import SegmentationSetup
 
     source, place = opened_recording(recording), place_of(recording)
     setup = SegmentationSetup(source, camera_named(source, camera))
     if click is None:
-        from clothtrack_capture.segmentation_page import segment_live
+        from clothtrack_capture.click_pages import segment_live
 
         kept = segment_live(setup, opened=opened)
     else:

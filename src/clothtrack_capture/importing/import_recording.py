@@ -19,13 +19,13 @@ from clothtrack.errors import (
     StorageError,
     TruncatedError,
 )
+from clothtrack.files.extras import require_extra
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack.recordings.violation import DOCUMENT, Violation
-from clothtrack_capture.extra import require_capture
 from clothtrack_capture.importing.images import PackedPicture
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import Imported, ImportReport, report_of
@@ -62,7 +62,7 @@ def open_source(path: Path, options: ImportOptions) -> Source:
                 f"{path}: neither .mcap, .db3 or .bag files nor a folder depth/ are in it (there: "
                 f"{seen}); see docs/import.md"
             )
-        require_capture()
+        require_extra("capture", ("lz4", "mcap", "rosbags", "zstandard"), "importing")
         from clothtrack_capture.importing.containers import is_bag
         from clothtrack_capture.importing.kinect import KinectSource, is_kinect
         from clothtrack_capture.importing.ros_bags import BagSource

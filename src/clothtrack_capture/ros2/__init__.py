@@ -3,19 +3,18 @@
 from typing import TYPE_CHECKING
 
 from clothtrack._lazy import lazy_names
-from clothtrack_capture.extra import require_ros2
+from clothtrack.files.extras import require_extra
 
 if TYPE_CHECKING:
-    from clothtrack_capture.ros2.live_picture import LivePicture
     from clothtrack_capture.ros2.sink import Ros2Sink
     from clothtrack_capture.ros2.source import Ros2Source
-    from clothtrack_capture.ros2.source_config import Ros2SourceConfig, Ros2Topics
+    from clothtrack_capture.ros2.source_config import LivePicture, Ros2SourceConfig, Ros2Topics
 else:
     _get, __dir__ = lazy_names(__name__)
 
     def __getattr__(name: str) -> object:
         if name in __all__:
-            require_ros2()
+            require_extra("ros2", ("cyclonedds", "rosbags"), "speaking ROS 2")
         return _get(name)
 
 

@@ -18,10 +18,9 @@ from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.messages import decode, header_stamp_ns, intrinsics_of
 from clothtrack_capture.importing.topics import CAMERA_INFO, IMAGE, base_name, topic_list
 from clothtrack_capture.ros2.joining import PictureCounts, PictureQueue, Received
-from clothtrack_capture.ros2.live_picture import LivePicture
 from clothtrack_capture.ros2.participant import Participant, Publication, Reader
 from clothtrack_capture.ros2.robot_state import TF_STATIC, RobotState
-from clothtrack_capture.ros2.source_config import Ros2SourceConfig, Ros2Topics
+from clothtrack_capture.ros2.source_config import LivePicture, Ros2SourceConfig, Ros2Topics
 
 logger = logging.getLogger(__name__)
 

@@ -166,9 +166,11 @@ def _crumple(
         output, garment, states, seed=seed, config=with_settings(StatesConfig(), settings),
         processes=workers, progress=progress, ray=ray,
     )  # fmt: skip
-    card, garments = store.folder / "README.md", len(store.shards)
-    report = {"states": store.folder, "card": card, "garments": garments}
-    return Simulated(f"{card}   ({garments} garments)", report, folders=tuple(store.shards))
+    garments = len(store.shards)
+    states = sum(entry["states"] for entry in store.document["shards"].values())
+    report = {"states": store.folder, "garments": garments}
+    told = f"{store.folder}   ({states} states of {garments} garments)"
+    return Simulated(told, report, folders=tuple(store.shards))
 
 
 def _benchmark(

@@ -18,13 +18,11 @@ import numpy as np
 from jaxtyping import Float32
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.many_items import attempts, results_of
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
-from clothtrack.files.provenance import made_with
-from clothtrack.files.run_manifest import as_plain, require_same
+from clothtrack.files.provenance import as_plain, made_with, require_same
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.garments.garment_meshes import ClothKind
 from clothtrack.geometry.coverage import projected_area
@@ -52,12 +50,10 @@ from clothtrack.reconstruction.data.state_store import (
     write_list,
     write_shard,
 )
-from clothtrack.reconstruction.data.states_card import dataset_card
 from clothtrack.simulation.parameters import SolverConfig
 
 logger = logging.getLogger(__name__)
 
-_CARD_FILE = "README.md"
 
 PACKAGES = ("numpy", "scipy", "warp-lang", "zarr")
 """Packages that states depend on."""
@@ -178,10 +174,7 @@ def generate_states(
                 if entry["cpu_s"] is not None or name not in document["shards"]:
                     document["shards"] = dict(sorted({**document["shards"], name: entry}.items()))
                     write_list(out, document)
-        found = open_states(out)
-        with atomic_file(out / _CARD_FILE) as unfinished:
-            unfinished.write_text(dataset_card(found), encoding="utf-8")
-    return found
+    return open_states(out)
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,22 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer, SmallPictures
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, small_pictures
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording, Table
+
+Value = TypeVar("Value")
+
+Measured = dict[str, Any]
+"""A value `measured`, and the words of its text; where its limit is not that of the check, `limit`,
+which is then exceeded."""
 
 _RIM_PIXELS = 3
 """A cloth this near to the rim of the picture may go on beyond it."""
@@ -22,7 +29,7 @@ class Finding:
     """Something that the recording says and its pictures contradict.
 
     Attributes:
-        kind: what is wrong, a stable name for programs, such as "camera_pose" or "color_shift";
+        kind: what is wrong, a stable name for programs, such as "camera_pose" or "picker_clock";
             docs/data_format.md lists all.
         limit: what the recording says, or the limit that is exceeded, in `unit`.
         unit: of both: "m", "deg", "s", "px", or "" for a plain number.
@@ -42,33 +49,63 @@ class Finding:
 
 
 class ObservedFrames:
-    """The clouds and reduced pictures of a recording, each computed once."""
+    """The clouds and reduced pictures of a recording, and what is measured in them, once."""
 
     def __init__(
         self,
         recording: Recording,
         cloud: Callable[[Frame], Observation] | None = None,
-        reducer: PictureReducer | None = None,
     ) -> None:
         """Read nothing yet."""
-        self._recording = recording
+        self.recording = recording
         self._cloud = cloud or partial(observe, recording)
-        self._reducer = reducer or PictureReducer(recording)
         self._seen: dict[int, Observation | None] = {}
+        self._known: dict[Callable[..., Any], Any] = {}
 
     def at(self, frame: int) -> Observation | None:
         """Return the observation of the cloth in a frame; None if it is not found."""
         if frame not in self._seen:
             try:
-                self._seen[frame] = self._cloud(self._recording.frames[frame])
+                self._seen[frame] = self._cloud(self.recording.frames[frame])
             except ClothTrackError:
                 self._seen[frame] = None
         return self._seen[frame]
 
+    def once(self, measure: Callable[["ObservedFrames"], Value]) -> Value:
+        """Return what several checks measure, computed once."""
+        if measure not in self._known:
+            self._known[measure] = measure(self)
+        return self._known[measure]
+
     @cached_property
     def small(self) -> SmallPictures | None:
         """Reduced pictures of one camera; None if there is no readable depth."""
-        return self._reducer.pictures()
+        return small_pictures(self.recording)
+
+    @property
+    def table(self) -> Table:
+        """The table, for checks that need one."""
+        assert self.recording.table is not None
+        return self.recording.table
+
+    @property
+    def template(self) -> ClothMesh:
+        """The template, for checks that need one."""
+        assert self.recording.cloth.template is not None
+        return self.recording.cloth.template
+
+    @property
+    def first(self) -> Observation:
+        """The cloth of the first frame, for checks that need it."""
+        seen = self.at(0)
+        assert seen is not None
+        return seen
+
+    @property
+    def pictures(self) -> SmallPictures:
+        """The reduced pictures, for checks that need them."""
+        assert self.small is not None
+        return self.small
 
 
 def reaches_rim(observation: Observation) -> bool:
@@ -96,21 +133,15 @@ def on_table(
 
 
 def unit_factor(ratio: float) -> float | None:
-    """Return the factor between units, other than 1, that a ratio is within a quarter of."""
+    """Return the factor between units, other than 1, that a ratio is within a quarter of.
+
+    Beside the powers of ten, depth cameras have units of a quarter of a millimeter.
+    """
     if not ratio > 0:
         return None
-    factor = min((10.0 ** round(np.log10(ratio)), *_BETWEEN_UNITS), key=lambda f: _apart(ratio, f))
-    return factor if factor != 1 and _apart(ratio, factor) < _NEARLY else None
-
-
-def _apart(ratio: float, factor: float) -> float:
-    return float(abs(np.log10(ratio / factor)))
-
-
-_BETWEEN_UNITS = (4.0, 0.25)
-"""Ratios of units of depth cameras, a quarter of a millimeter and a millimeter, beside the powers
-of ten."""
-
-_NEARLY = 0.1
-"""Largest distance of the logarithm of a ratio from that of a factor; a value that is in another
-unit is wrong by nothing else."""
+    apart = {
+        factor: abs(np.log10(ratio / factor))
+        for factor in (10.0 ** round(np.log10(ratio)), 4, 0.25)
+    }
+    factor = min(apart, key=lambda each: apart[each])
+    return float(factor) if factor != 1 and apart[factor] < 0.1 else None
