@@ -19,14 +19,9 @@ from shared.recording_data import RecordingData
 RATE_HZ, NOISE_M, SETTLING_S = 10.0, 0.0013, 0.15
 """Pictures per second, standard deviation of the depth [m], time in which a loop sinks [s]."""
 
-LAYER_M = 0.003
-"""Height of a layer over the one below [m]."""
-
-SPACING_M = 0.003
-"""Between vertices of the truth [m]."""
-
-SPRING = 2.0
-"""Radius of the arc that bends a flap back onto the cloth, in radii of its loop."""
+LAYER_M, SPACING_M, SPRING = 0.003, 0.003, 2.0
+"""Height of a layer over the one below, distance of the truth's vertices [m], and the radius of the
+arc that bends a flap back onto the cloth, in radii of its loop."""
 
 LOWEST_M = 0.5 * LAYER_M
 """Height of the middle of cloth that lies on the table [m]."""

@@ -21,10 +21,6 @@ CLOSED = 4
 PICTURES = ("color", "depth", "mask")
 
 
-Part = Any
-"""An array, or None where the recording lacks it: a kind of change names what it needs."""
-
-
 @dataclass
 class RecordingData:
     """A recording of one camera, and the truth beside it.
@@ -33,27 +29,22 @@ class RecordingData:
         document: recording.json, without the names of files; `frames` has the times.
         color: red first, (frames, height, width, 3) of 8 bits.
         depth: in the camera's `depth_unit_m`, (frames, height, width) of 16 bits.
-        mask: the cloth, (frames, height, width); None without masks.
         picker: per name, (samples, 5): time [s], x, y, z [m], closed.
-        vertices: of the template [m]; None without one.
-        canonical: of the template's vertices [m], or None.
-        truth: true vertices in the true world [m], (moments, vertices, 3); no file of the recording
-            holds them.
-        truth_canonical: canonical coordinates of the true vertices [m].
+        truth: true vertices in the true world [m], (moments, vertices, 3), in no file.
         moments: which moment of the truth the clock of each frame stands for.
     """
 
     document: dict[str, Any]
-    color: Part = None
-    depth: Part = None
-    mask: Part = None
+    color: Any = None
+    depth: Any = None
+    mask: Any = None
     picker: dict[str, np.ndarray] = field(default_factory=dict)
-    vertices: Part = None
-    faces: Part = None
-    canonical: Part = None
-    truth: Part = None
-    truth_faces: Part = None
-    truth_canonical: Part = None
+    vertices: Any = None
+    faces: Any = None
+    canonical: Any = None
+    truth: Any = None
+    truth_faces: Any = None
+    truth_canonical: Any = None
     moments: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property

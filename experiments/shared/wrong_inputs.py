@@ -14,24 +14,16 @@ from shared.recording_data import CLOSED, PICTURES, RecordingData
 
 Rng = np.random.Generator
 Change = Callable[[RecordingData, float, Rng], object]
-"""Changes a copy in place, by a strength."""
-
-MASK, TEMPLATE = "mask", "template"
-"""What a recording may lack, and a kind may need."""
-
-SEEN = ("color", "mask")
+MASK, TEMPLATE, SEEN = "mask", "template", ("color", "mask")
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One way to change a recording.
+    """One way to change a recording; it is done in place, by a strength drawn in a unit.
 
     Attributes:
         text: what is changed, for a person.
-        change: does it.
-        low: weakest, in `unit`.
-        unit: of the strength; empty where nothing is drawn.
-        needs: what the recording must have.
+        needs: what a recording may lack.
     """
 
     name: str
@@ -50,8 +42,7 @@ class Kind:
         return changed, strength
 
 
-def sign(rng: Rng) -> float:
-    """Plus or minus one."""
+def _sign(rng: Rng) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -76,12 +67,6 @@ def _pictures(change: Callable[[np.ndarray], np.ndarray], *names: str) -> Change
     return changed
 
 
-def _late(*names: str) -> Change:
-    return lambda data, frames, _: data.reordered(
-        np.maximum(np.arange(data.count) - round(frames), 0), names
-    )
-
-
 def _stuck(*names: str) -> Change:
     return lambda data, percent, _: data.reordered(
         np.minimum(np.arange(data.count), _at(data, percent)), names
@@ -96,7 +81,7 @@ def _at(data: RecordingData, percent: float) -> int:
 
 def _intrinsics(*names: str) -> Change:
     def scaled(data: RecordingData, percent: float, rng: Rng) -> None:
-        factor = (1.0 + percent / 100.0) ** sign(rng)
+        factor = (1.0 + percent / 100.0) ** _sign(rng)
         for name in names:
             data.camera[name] *= factor
         # A center outside the picture is refused at once; people keep the middle then.
@@ -107,32 +92,24 @@ def _intrinsics(*names: str) -> Change:
 
 
 def _center(data: RecordingData, pixels: float, rng: Rng) -> None:
-    data.camera[rng.choice(["cx", "cy"])] += sign(rng) * data.scale * pixels
+    data.camera[rng.choice(["cx", "cy"])] += _sign(rng) * data.scale * pixels
 
 
 def _unit(data: RecordingData, _: float, rng: Rng) -> None:
-    data.camera["depth_unit_m"] *= float(rng.choice([4.0, 10.0, 1000.0])) ** sign(rng)
+    data.camera["depth_unit_m"] *= float(rng.choice([4.0, 10.0, 1000.0])) ** _sign(rng)
 
 
 def _offset(data: RecordingData, mm: float, rng: Rng) -> None:
-    changed = data.depth + 1e-3 * mm * sign(rng) / data.camera["depth_unit_m"]
+    changed = data.depth + 1e-3 * mm * _sign(rng) / data.camera["depth_unit_m"]
     data.depth = np.where(data.depth > 0, changed.round().clip(0, 65535), 0).astype(np.uint16)
-
-
-def _scaled(data: RecordingData, percent: float, rng: Rng) -> None:
-    data.camera["depth_unit_m"] *= 1.0 + sign(rng) * percent / 100.0
 
 
 def _tilted(data: RecordingData, degrees: float, rng: Rng) -> None:
     data.pose = data.pose @ _turned(_aside(1.0, rng), degrees)
 
 
-def _spun(data: RecordingData, degrees: float, rng: Rng) -> None:
-    data.pose = _turned(np.array([0.0, 0.0, 1.0]), sign(rng) * degrees) @ data.pose
-
-
 def _moved(data: RecordingData, mm: float, rng: Rng) -> None:
-    away = _aside(mm, rng) if rng.integers(2) else np.array([0.0, 0.0, sign(rng) * mm])
+    away = _aside(mm, rng) if rng.integers(2) else np.array([0.0, 0.0, _sign(rng) * mm])
     pose = data.pose
     pose[:3, 3] += 1e-3 * away
     data.pose = pose
@@ -153,19 +130,6 @@ def _pushed(data: RecordingData, pixels: float, rng: Rng) -> None:
             pictures[number] = cv2.warpAffine(picture, moved, size, flags=cv2.INTER_NEAREST)
 
 
-def _table(data: RecordingData, mm: float, rng: Rng) -> None:
-    data.document["table"]["point"][2] += sign(rng) * 1e-3 * mm
-
-
-def _outside(data: RecordingData, percent: float, rng: Rng) -> None:
-    pixels = true_pixels(data, int(data.moments[0]))
-    axis, size = int(rng.integers(2)), (data.camera["width"], data.camera["height"])
-    low, high = [0, 0], list(size)
-    share = percent if rng.integers(2) else 100.0 - percent
-    (low if share == percent else high)[axis] = int(np.percentile(pixels[:, axis], share))
-    cropped(data, low, high)
-
-
 def _paths(change: Callable[[np.ndarray, RecordingData, float, Rng], np.ndarray]) -> Change:
     def changed(data: RecordingData, strength: float, rng: Rng) -> None:
         seed = int(rng.integers(2**32))
@@ -177,20 +141,12 @@ def _paths(change: Callable[[np.ndarray, RecordingData, float, Rng], np.ndarray]
 
 
 def _clock(data: RecordingData, seconds: float, rng: Rng) -> None:
-    late = sign(rng) * seconds
+    late = _sign(rng) * seconds
     for name, samples in data.picker.items():
         first, last = samples[:1].copy(), samples[-1:].copy()
         samples[:, 0] += late
         # The path goes on at rest, so that it covers the actions.
         data.picker[name] = np.concatenate([first, samples] if late > 0 else [samples, last])
-
-
-def _standing(data: RecordingData, percent: float, _: Rng) -> None:
-    since = data.times[_at(data, percent)]
-    for samples in data.picker.values():
-        late = samples[:, 0] > since
-        if late.any() and not late.all():
-            samples[late, 1:4] = samples[~late][-1, 1:4]
 
 
 def _clicked(*, place: bool) -> Change:
@@ -214,7 +170,7 @@ def _cut(data: RecordingData, percent: float, rng: Rng) -> None:
 
 
 def _size(data: RecordingData, percent: float, rng: Rng) -> None:
-    cloth, factor = data.document["cloth"], 1.0 + sign(rng) * percent / 100.0
+    cloth, factor = data.document["cloth"], 1.0 + _sign(rng) * percent / 100.0
     if data.vertices is None:
         cloth["size_m"] = [factor * side for side in cloth["size_m"]]
     else:
@@ -266,10 +222,8 @@ WRONG = (
     Kind("color_mirrored", "Mirror the color left to right",
          _pictures(lambda one: one[:, :, ::-1], *SEEN)),
     Kind("color_flipped", "Turn the color upside down", _pictures(lambda one: one[:, ::-1], *SEEN)),
-    Kind("color_late", "Delay the color", _late(*SEEN), 3, 8, "frames"),
     Kind("color_stuck", "Repeat one color picture", _stuck(*SEEN), 20, 70, "% of the carrying"),
     Kind("depth_unit", "State depth in another unit, 4, 10 or 1000 times", _unit),
-    Kind("depth_scaled", "Scale the depth", _scaled, 4, 15, "%"),
     Kind("depth_offset", "Add a constant to the depth", _offset, 12, 50, "mm"),
     Kind("focal", "State a wrong focal length", _intrinsics("fx", "fy"), 8, 30, "%"),
     Kind("focal_doubled", "Halve or double the focal length", _intrinsics("fx", "fy"), 100, 100),
@@ -277,18 +231,14 @@ WRONG = (
     Kind("other_stream", "State the intrinsics of a stream of another size",
          _intrinsics("fx", "fy", "cx", "cy"), 20, 120, "%"),
     Kind("pose_tilted", "Tilt the camera's pose", _tilted, 2.5, 12, "degrees"),
-    Kind("pose_turned", "Turn the pose about the vertical", _spun, 4, 25, "degrees"),
     Kind("pose_moved", "Move the camera's pose", _moved, 15, 80, "mm"),
     Kind("pose_inverted", "Invert the camera's pose", _inverted),
     Kind("camera_pushed", "Push the camera during the film", _pushed, 10, 40, "pixels"),
-    Kind("table_height", "State a table that is too high or too low", _table, 12, 60, "mm"),
-    Kind("cloth_outside", "Let the cloth leave the picture", _outside, 15, 45, "%"),
     Kind("picker_unit", "State the path in feet, centimeters or millimeters",
          _paths(lambda tips, _, __, rng: tips * rng.choice([3.28, 100.0, 1000.0]))),
     Kind("picker_beside", "Move the picker's path sideways",
          _paths(lambda tips, _, mm, rng: tips + _aside(1e-3 * mm, rng)), 30, 120, "mm"),
     Kind("picker_clock", "Shift the picker's clock", _clock, 0.3, 0.8, "s"),
-    Kind("picker_stuck", "Repeat one place of the picker", _standing, 10, 60, "% of the carrying"),
     Kind("place_wrong", "Click the place at a wrong spot", _clicked(place=True), 60, 200, "mm"),
     Kind("pick_wrong", "Click the pick at a wrong spot", _clicked(place=False), 60, 200, "mm"),
     Kind("mask_cut", "Leave one side of the cloth out of the mask", _cut, 15, 50, "%", MASK),
@@ -310,7 +260,7 @@ def _noise(data: RecordingData, mm: float, rng: Rng) -> None:
 
 
 def _bright(data: RecordingData, percent: float, rng: Rng) -> None:
-    factor = 1.0 + sign(rng) * percent / 100.0
+    factor = 1.0 + _sign(rng) * percent / 100.0
     data.color = np.clip(data.color * factor, 0, 255).astype(np.uint8)
 
 
@@ -320,11 +270,6 @@ def _margin(data: RecordingData, pixels: float, _: Rng) -> None:
     low = np.clip(np.floor(seen.min(axis=0) - margin), 0, size).astype(int)
     high = np.clip(np.ceil(seen.max(axis=0) + margin), 0, size).astype(int)
     cropped(data, low.tolist(), high.tolist())
-
-
-def _slower(data: RecordingData, _: float, __: Rng) -> None:
-    ends = [a[end] for a in data.document["actions"] for end in ("first_frame", "last_frame")]
-    data.take(np.unique([*range(0, data.count, 2), *ends, *data.carried()]))
 
 
 def _elsewhere(data: RecordingData, meters: float, rng: Rng) -> None:
@@ -343,20 +288,12 @@ def _elsewhere(data: RecordingData, meters: float, rng: Rng) -> None:
     data.truth = moved(data.truth)
 
 
-def _other_clock(data: RecordingData, seconds: float, _: Rng) -> None:
-    data.times = data.times + seconds
-    for samples in data.picker.values():
-        samples[:, 0] += seconds
-
-
 HARMLESS = (
     Kind("unchanged", "Change nothing", lambda *_: None),
     Kind("more_noise", "Add as much noise as another sensor has", _noise, 0.3, 1.2, "mm"),
     Kind("brightness", "Make the color brighter or darker", _bright, 5, 20, "%"),
     Kind("crop", "Crop the pictures, so that the cloth keeps a margin", _margin, 10, 40, "pixels"),
-    Kind("lower_rate", "Keep every second frame, with its true time", _slower),
     Kind("other_world", "Put the origin of the world elsewhere", _elsewhere, 0.1, 3, "m"),
-    Kind("other_clock", "Count time from elsewhere", _other_clock, 1, 1e5, "s"),
     Kind("picker_noise", "Measure the picker a little less well",
          _paths(lambda tips, _, mm, rng: tips + rng.normal(0.0, 1e-3 * mm, tips.shape)),
          0.5, 2, "mm"),
