@@ -8,24 +8,18 @@ objective lies above the peer's (negative: below).
     python benchmarks/bench_alignment.py --json alignment.json [--quick]
 """
 
-import argparse
-import logging
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from results import provenance, write_json
+from harness import run_benchmark, timed
 from scipy.spatial import cKDTree
 
 from clothtrack.alignment import AlignmentConfig, CloudAligner
 from clothtrack.alignment.solvers import ADAM_STEP_M
 from clothtrack.alignment.terms_kernels import TWO_WAY_RANGE_M
 from clothtrack.geometry import Camera, ClothMesh, visible_vertices
-
-logger = logging.getLogger("bench_alignment")
 
 OBJECTIVES = {
     # Without the stiff length term, icp gets along with half of the inner steps.
@@ -113,16 +107,6 @@ def peer(
     return float(objective().detach())
 
 
-def timed(work: Callable[[], float], repeats: int) -> tuple[float, float]:
-    """Return the median CPU time [s] of some repeats, and the last result."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        result = work()
-        times.append(time.process_time() - start)
-    return float(np.median(times)), result
-
-
 def compare(size: str, objective: str, *, repeats: int) -> dict[str, object]:
     """Return one row: peer, Adam and icp on one problem."""
     config = OBJECTIVES[objective]
@@ -153,27 +137,13 @@ def compare(size: str, objective: str, *, repeats: int) -> dict[str, object]:
     return row
 
 
-def main() -> None:
-    """Measure every size and objective and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="where to write the results")
-    parser.add_argument("--quick", action="store_true", help="the smallest size, once")
-    arguments = parser.parse_args()
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+def measure(_: Path, quick: bool) -> dict[str, object]:
+    """Return a row for every size and objective."""
     torch.set_num_threads(1)
-    rows = []
-    for size in list(SIZES)[:1] if arguments.quick else SIZES:
-        for objective in OBJECTIVES:
-            row = compare(size, objective, repeats=1 if arguments.quick else 3)
-            logger.info(
-                "%(vertices)5d vertices, %(points)d points, %(objective)s: peer %(peer_ms).0f ms; "
-                "adam %(adam_ms).1f ms, x%(adam_ratio).1f, gap %(adam_objective_gap)+.4f; "
-                "icp %(icp_ms).1f ms, x%(icp_ratio).1f, gap %(icp_objective_gap)+.4f",
-                row,
-            )
-            rows.append(row)
-    write_json(arguments.json, {"benchmark": "alignment", "rows": rows, "provenance": provenance()})
+    sizes = list(SIZES)[:1] if quick else SIZES
+    cases = [(size, objective) for size in sizes for objective in OBJECTIVES]
+    return {"rows": [compare(*case, repeats=1 if quick else 3) for case in cases]}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark("alignment", __doc__, measure)

@@ -12,19 +12,14 @@ The axes are the tracker's own at 1,000 vertices; at 4,000, and with --quick, th
 properties have three values each (27 combinations). Run with `OMP_NUM_THREADS=1`.
 """
 
-import argparse
-import sys
-import tempfile
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from bench_tracking import TimedEyes
-from results import provenance, write_json
+from harness import run_benchmark, timed
 from staged_fold import FILMED, shirt, staged
 
-from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import Recording
 from clothtrack.tracking import Components, RunConfig, SearchConfig
 from clothtrack.tracking.configuration import PAPER_AXES
@@ -46,8 +41,8 @@ def searched(
     components = Components(recording, shirt(vertex_count), config, eyes)
     mesh, action = components.mesh, recording.actions[0]
     state = components.simulator(velocity_kept=1.0).solver.save()
-    start = time.process_time()
-    search = components.open_loop_calibration()(action, state, config.cloth.theta(held_layers=0))
+    calibrate, theta = components.open_loop_calibration(), config.cloth.theta(held_layers=0)
+    seconds, search = timed(lambda: calibrate(action, state, theta))
     (candidate,) = search
     record = search.calibration
     return {
@@ -55,56 +50,23 @@ def searched(
         "method": method,
         "combinations": int(np.prod([len(values) for values in axes.values()])),
         "roll_outs": record.roll_outs,
-        "seconds": time.process_time() - start,
+        "seconds": seconds,
         "chamfer_m2": float(np.min(record.scores)),
         "chosen": {name: getattr(candidate.theta, name) for name in axes},
     }
 
 
-def table(rows: list[dict]) -> str:
-    """Return the rows as text, with costs and results next to those of the grid."""
-    grids = {row["vertices"]: row for row in rows if row["method"] == "grid"}
-    lines = []
-    for row in rows:
-        grid = grids[row["vertices"]]
-        values = " ".join(f"{name} {value:g}" for name, value in row["chosen"].items())
-        lines.append(
-            f"{row['vertices']:5d} vertices {row['method']:8} {row['roll_outs']:5.1f} roll-outs of "
-            f"{row['combinations']}  {row['seconds']:7.1f} s "
-            f"(x{grid['seconds'] / row['seconds']:4.1f})  {1e6 * row['chamfer_m2']:7.3f} mm^2 "
-            f"({100 * (row['chamfer_m2'] / grid['chamfer_m2'] - 1):+5.1f} %)  {values}"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    """Record once, search with every method at every size, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
-    parser.add_argument("--quick", action="store_true", help="1,000 vertices, 27 combinations")
-    options = parser.parse_args()
-    quiet_warp()
-    full = PAPER_AXES
-    sizes = {1000: SMALL_AXES} if options.quick else {1000: full, 4000: SMALL_AXES}
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="bench-calibration-") as folder:
-        recording = staged(Path(folder) / "fold")
-        for vertex_count, axes in sizes.items():
-            for method in METHODS:
-                rows.append(searched(recording, vertex_count, method, axes))
-                sys.stderr.write(table([*rows[-1:], *rows]).splitlines()[0] + "\n")
-    write_json(
-        options.json,
-        {
-            "benchmark": "calibration",
-            "filmed_with": vars(FILMED),
-            "axes": {str(size): axes for size, axes in sizes.items()},
-            "rows": rows,
-            "provenance": provenance(),
-        },
-    )
-    sys.stdout.write(table(rows))
+def measure(folder: Path, quick: bool) -> dict[str, object]:
+    """Record once, search with every method at every size."""
+    sizes = {1000: SMALL_AXES} if quick else {1000: PAPER_AXES, 4000: SMALL_AXES}
+    recording = staged(folder / "fold")
+    rows = [
+        searched(recording, count, method, axes)
+        for count, axes in sizes.items()
+        for method in METHODS
+    ]
+    return {"filmed_with": vars(FILMED), "axes": sizes, "rows": rows}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark("calibration", __doc__, measure)

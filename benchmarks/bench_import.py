@@ -8,17 +8,12 @@ two otherwise idle processors. Reading and writing, which only the first thread 
 column; two processors stay busy as long as it is below one half. Memory is the peak above that at
 the start, for a quarter of the frames and for all.
 
-    python benchmarks/bench_import.py --json import.json [--quick] [--only NAME ...]
+    python benchmarks/bench_import.py --json import.json [--quick]
 """
 
-import argparse
-import importlib.util
 import json
-import logging
 import os
 import shutil
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,25 +21,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import cv2
 import numpy as np
-from results import provenance, write_json
-from rosbags import rosbag1, rosbag2
+from harness import run_benchmark, timed
+from rosbags import rosbag2
 from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
-from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import encode_png
-from clothtrack_capture import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
 
-logger = logging.getLogger("bench_import")
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0
 DIFFERENT = 20  # pictures that are made; a film repeats them
-ROS2, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
-MAKERS = Path(__file__).parents[1] / "tests" / "importing" / "makers.py"
+STORE = get_typestore(Stores.ROS2_HUMBLE)
 PEER_FRAMES = 100
 
 
@@ -64,43 +53,31 @@ def pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
     return depths, colors
 
 
-def header(time_ns: int, store: Typestore) -> object:
-    """Return a stamped header."""
-    stamp = store.types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
-    number = (0,) if store is ROS1 else ()
-    return store.types["std_msgs/msg/Header"](*number, stamp, "camera")
-
-
-def info(time_ns: int, focal: float, store: Typestore) -> object:
+def info(head: object, focal: float) -> object:
     """Intrinsics."""
-    region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     k = np.array([focal, 0, 319.5, 0, focal, 239.5, 0, 0, 1.0])
-    return store.types["sensor_msgs/msg/CameraInfo"](
-        header(time_ns, store), HEIGHT, WIDTH, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(),
+    return STORE.types["sensor_msgs/msg/CameraInfo"](
+        head, HEIGHT, WIDTH, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(),
         np.insert(k, [3, 6, 9], 0.0), 0, 0, region,
     )  # fmt: skip
 
 
-def entries(
-    frames: int, store: Typestore, *, packed: bool = False, registered: bool = True
-) -> Iterator[tuple[str, int, object]]:
+def entries(frames: int, *, packed: bool, registered: bool) -> Iterator[tuple[str, int, object]]:
     """Yield the messages of a camera."""
-    image = store.types["sensor_msgs/msg/Image"]
-    compressed = store.types["sensor_msgs/msg/CompressedImage"]
+    image = STORE.types["sensor_msgs/msg/Image"]
+    compressed = STORE.types["sensor_msgs/msg/CompressedImage"]
+    stamp = STORE.types["builtin_interfaces/msg/Time"]
     depths, colors = pictures()
-    pngs = [bytes(12) + encode_png(one) for one in depths]
+    pngs = [np.frombuffer(bytes(12) + encode_png(one), np.uint8) for one in depths]
     for k in range(frames):
         now, one = 10**18 + k * 33_333_333, k % DIFFERENT
-        head = header(now, store)
-        yield (
-            "/camera/depth/camera_info",
-            now,
-            info(now, FOCAL if registered else 0.7 * FOCAL, store),
-        )
-        yield "/camera/color/camera_info", now, info(now, FOCAL, store)
+        head = STORE.types["std_msgs/msg/Header"](stamp(now // 10**9, now % 10**9), "camera")
+        focal = FOCAL if registered else 0.7 * FOCAL
+        yield "/camera/depth/camera_info", now, info(head, focal)
+        yield "/camera/color/camera_info", now, info(head, FOCAL)
         if packed:
-            data = np.frombuffer(pngs[one], np.uint8)
-            depth = compressed(head, "16UC1; compressedDepth png", data)
+            depth = compressed(head, "16UC1; compressedDepth png", pngs[one])
             shown = compressed(head, "rgb8; jpeg compressed bgr8", jpeg(colors[one]))
             yield "/camera/depth/image_raw/compressedDepth", now, depth
             yield "/camera/color/image_raw/compressed", now, shown
@@ -117,52 +94,16 @@ def jpeg(color: np.ndarray) -> np.ndarray:
     return cv2.imencode(".jpg", color[..., ::-1])[1].ravel()
 
 
-def write_bag(
-    path: Path, frames: int, *, storage: str = "mcap", packed: bool = False, registered: bool = True
-) -> Path:
-    """Write a bag of ROS 2 ("mcap" or "sqlite3") or ROS 1 ("bag")."""
-    if storage == "bag":
-        store, pack = ROS1, ROS1.serialize_ros1
-        writer = rosbag1.Writer(path)
-    else:
-        store, pack = ROS2, ROS2.serialize_cdr
-        plugin = rosbag2.StoragePlugin[storage.upper()]
-        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
-    with writer:
+def write_bag(path: Path, frames: int, *, packed: bool = False, registered: bool = True) -> Path:
+    """Write a bag of ROS 2 (MCAP)."""
+    plugin = rosbag2.StoragePlugin.MCAP
+    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
         known = {}
-        for topic, now, message in entries(frames, store, packed=packed, registered=registered):
+        for topic, now, message in entries(frames, packed=packed, registered=registered):
             kind = message.__msgtype__
             if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(known[topic], now, pack(message, kind))
-    return path
-
-
-def makers() -> ModuleType:
-    """Return the module of the tests that writes recordings."""
-    spec = importlib.util.spec_from_file_location("import_makers", MAKERS)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["import_makers"] = module  # its dataclasses look themselves up there
-    spec.loader.exec_module(module)
-    return module
-
-
-def write_kinect(path: Path, frames: int) -> Path:
-    """Write a Matroska file: the header from the tests' writer, followed by blocks."""
-    make = makers()
-    depths, colors = pictures()
-    none = slice(0, 0)
-    make.write_kinect(path, np.stack(depths)[none], np.stack(colors)[none], [])
-    raw = [one.astype(">u2").tobytes() for one in depths]
-    shown = [jpeg(one).tobytes() for one in colors]
-    with path.open("ab") as file:
-        for k in range(frames):
-            blocks = make.number(0xE7, k * 33_333)
-            blocks += make.element(0xA3, b"\x81\x00\x00\x80" + shown[k % DIFFERENT])
-            depth = make.element(0xA1, b"\x82\x00\x00\x80" + raw[k % DIFFERENT])
-            file.write(make.element(0x1F43B675, blocks + make.element(0xA0, depth)))
+                known[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(known[topic], now, STORE.serialize_cdr(message, kind))
     return path
 
 
@@ -209,13 +150,6 @@ def coder(depth_form: str, color_form: str, *, usual: bool) -> Callable[[], None
     return run
 
 
-def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Return the CPU time of all threads and of the first one [s]."""
-    start, own = time.process_time(), time.thread_time()
-    work()
-    return time.process_time() - start, time.thread_time() - own
-
-
 def resident_bytes() -> int:
     """Return memory of this process."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
@@ -249,29 +183,20 @@ class Kind:
 
 KINDS = {
     "raw topics, ROS 2 MCAP": Kind(write_bag),
-    "raw topics, ROS 2 SQLite": Kind(partial(write_bag, storage="sqlite3")),
-    "raw topics, ROS 1 bag": Kind(partial(write_bag, storage="bag")),
     "raw, depth to be registered": Kind(partial(write_bag, registered=False)),
     "compressed topics": Kind(partial(write_bag, packed=True), "png", "jpeg"),
     "PNG folder": Kind(write_pngs, "png", "png"),
-    "Matroska, JPEG color": Kind(write_kinect, "raw", "jpeg"),
 }
 
 
-def measure(name: str, frames: int, folder: Path) -> dict[str, object]:
+def compared(name: str, frames: int, folder: Path) -> dict[str, object]:
     """Return one row: the import against the peer."""
     kind, out = KINDS[name], folder / "out"
-    lens = folder / "lens.json"
-    values = {"width": WIDTH, "height": HEIGHT, "fx": FOCAL, "fy": FOCAL, "cx": 319.5, "cy": 239.5}
-    lens.write_text(json.dumps(values), encoding="utf-8")
-    # No mode of a Kinect has 640 x 480 pixels of depth.
-    given = lens if kind.write is write_kinect else None
-    config = ImportOptions(intrinsics=given)
     peaks, times = [], (0.0, 0.0)
     for count in (frames // 4, frames):
         source = kind.write(folder / "source", count)
         start, own = time.process_time(), time.thread_time()
-        peaks.append(peak_bytes(lambda: import_recording(folder / "source", out, config)))
+        peaks.append(peak_bytes(lambda: import_recording(folder / "source", out)))
         times = time.process_time() - start, time.thread_time() - own
         shutil.rmtree(out)
         shutil.rmtree(source) if source.is_dir() else source.unlink()
@@ -291,36 +216,13 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    """Measure every kind of source and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="where to write the results")
-    parser.add_argument("--quick", action="store_true", help="40 frames")
-    parser.add_argument("--only", nargs="*", choices=tuple(KINDS), default=tuple(KINDS))
-    arguments = parser.parse_args()
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    quiet_warp()
+def measure(folder: Path, quick: bool) -> dict[str, object]:
+    """Measure every kind of source."""
     cv2.setNumThreads(1)
-    frames = 40 if arguments.quick else 1000
-    rows = []
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        # The first import compiles the kernel.
-        warm = write_bag(folder / "warm", 2, registered=False)
-        import_recording(warm, folder / "warmed")
-        for name in arguments.only:
-            row = measure(name, frames, folder)
-            logger.info(
-                "%(source)-28s %(cpu_ms_per_frame).1f ms, %(frames_per_s).0f frames/s, first "
-                "thread %(first_thread_share).2f; x%(ratio_to_coding).2f of coding alone, "
-                "x%(ratio_to_usual_coding).2f of coding as usual; %(peak_mb_quarter).0f and "
-                "%(peak_mb).0f MB",
-                row,
-            )
-            rows.append(row)
-            content = {"benchmark": "import", "rows": rows, "provenance": provenance()}
-            write_json(arguments.json, content)
+    # The first import compiles the kernel.
+    import_recording(write_bag(folder / "warm", 2, registered=False), folder / "warmed")
+    return {"rows": [compared(name, 40 if quick else 1000, folder) for name in KINDS]}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark("import", __doc__, measure)

@@ -1,30 +1,23 @@
-"""Cost of a trajectory by vertices, frames and candidates, and of a million trajectories.
+"""Cost of a trajectory by vertices, frames and candidates.
 
 The T-shirt of staged_fold.py is tracked at several numbers of vertices: in default mode without
 calibration, with half of its frames, and with candidates. CPU time is that of the process
 (`time.process_time`), after a run that compiles. Memory is the peak of the process. Bytes and files
-are those of the saved trajectory. Then a folder with many synthetic results is searched for
-leftovers, as at the start of a run.
+are those of the saved trajectory.
 
     python benchmarks/bench_scaling.py --json out/bench_scaling.json [--quick]
 """
 
-import argparse
 import resource
-import sys
-import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from results import provenance, write_json
+from harness import run_benchmark
 from staged_fold import SIZE_M, STEPS, shirt, staged
 
-from clothtrack.files.atomic_write import clear_leftovers
-from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import Recording, observe
 from clothtrack.tracking import RunConfig, SearchConfig, Tracker
 
@@ -89,67 +82,17 @@ def fitted(rows: list[dict]) -> dict[str, float]:
             "largest_miss": float(np.abs(misses).max())}  # fmt: skip
 
 
-def of_many(count: int, folder: Path) -> dict:
-    """Return the cost of searching a folder of `count` results for leftovers and listing it."""
-    out = folder / f"items_{count}"
-    out.mkdir()
-    results = [out / f"towel_{number:07d}.zarr" for number in range(count)]
-    for result in results:
-        result.touch()
-    return {
-        "items": count,
-        "leftovers_s": timed(lambda: clear_leftovers(results)),
-        "list_s": timed(lambda: list(out.iterdir())),
-    }
-
-
-def timed(run: Callable[[], object]) -> float:
-    """Return the CPU time [s]."""
-    start = time.process_time()
-    run()
-    return time.process_time() - start
-
-
-def table(rows: list[dict], model: dict[str, float], many: list[dict]) -> str:
-    """Return the figures as text."""
-    lines = ["vertices frames candidates   CPU s  save s  peak MB    bytes  files"]
-    lines += [
-        f"{one['vertices']:8d} {one['frames']:6d} {one['candidates']:10.1f} {one['cpu_s']:7.2f} "
-        f"{one['save_s']:7.2f} {one['peak_mb']:8.0f} {one['bytes']:8d} {one['files']:6d}"
-        for one in rows
-    ]
-    lines.append("  ".join(f"{name} {value:.3g}" for name, value in model.items()))
-    lines += ["  ".join(f"{name} {value:.4g}" for name, value in one.items()) for one in many]
-    return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    """Record once, track at every size, measure many items and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
-    parser.add_argument("--quick", action="store_true", help="two sizes, a thousand items")
-    options = parser.parse_args()
-    quiet_warp()
-    counts = [250, 500] if options.quick else [250, 500, 1000, 2000]
-    items = [1000] if options.quick else [1000, 10_000, 100_000]
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="bench-scaling-") as temporary:
-        folder = Path(temporary)
-        whole = staged(folder / "fold")
-        half = shortened(whole, STEPS // 2)
-        row(shortened(whole, 2), counts[0], candidates=True, folder=folder / "first")
-        rows += [row(half, count, candidates=False, folder=folder) for count in counts]
-        rows.append(row(whole, counts[1], candidates=False, folder=folder))
-        rows.append(row(half, counts[1], candidates=True, folder=folder))
-        model = fitted(rows)
-        many = [of_many(count, folder) for count in items]
-    write_json(
-        options.json,
-        {"benchmark": "scaling", "size_m": SIZE_M, "rows": rows, "model": model,
-         "many_items": many, "provenance": provenance()},
-    )  # fmt: skip
-    sys.stdout.write(table(rows, model, many))
+def measure(folder: Path, quick: bool) -> dict[str, object]:
+    """Record once, and track at every size."""
+    counts = [250, 500] if quick else [250, 500, 1000, 2000]
+    whole = staged(folder / "fold")
+    half = shortened(whole, STEPS // 2)
+    row(shortened(whole, 2), counts[0], candidates=True, folder=folder / "first")
+    rows = [row(half, count, candidates=False, folder=folder) for count in counts]
+    rows.append(row(whole, counts[1], candidates=False, folder=folder))
+    rows.append(row(half, counts[1], candidates=True, folder=folder))
+    return {"size_m": SIZE_M, "rows": rows, "model": fitted(rows)}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark("scaling", __doc__, measure)

@@ -12,26 +12,22 @@ the median distance from a front vertex to the back, before and after, and the m
 of edge length.
 """
 
-import argparse
-import json
-import platform
 import sys
 import time
 from collections.abc import Callable
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 from engines import PEERS, Engine, Ours
+from harness import run_benchmark
 from scipy.spatial import KDTree
 
 from clothtrack.files.extras import install_command
 from clothtrack.garments import garment, tshirt
-from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.geometry import ClothMesh
 
 LAYER_GAP_M = 0.003
 LIFT_PER_STEP_M = 0.004
-PACKAGES = ("numpy", "warp-lang", "mujoco-core", "newton")
 
 
 def shirt(vertex_count: int) -> ClothMesh:
@@ -84,88 +80,30 @@ def measure(
     }
 
 
-def bench(vertex_counts: list[int], *, warm_up: int, steps: int) -> dict[str, object]:
+def compared(folder: Path, quick: bool) -> dict[str, object]:  # noqa: ARG001
     """Measure all engines at all sizes; a peer that cannot run is skipped with its reason."""
-    cases: list[dict[str, object]] = []
+    warm_up, steps = (2, 3) if quick else (5, 14)
+    rows: list[dict[str, object]] = []
     skipped: dict[str, str] = {}
     worst = np.inf
-    for count in vertex_counts:
+    for count in [1000] if quick else [1000, 4000]:
         mesh = shirt(count)
-        peers: dict[str, dict[str, float]] = {}
+        row: dict[str, object] = {"vertices": mesh.vertex_count}
+        ours = measure(Ours, mesh, warm_up=warm_up, steps=steps)
+        row["ours"] = ours
         for name, build in PEERS.items():
-            tell(f"{mesh.vertex_count} vertices: {name}")
+            sys.stderr.write(f"{mesh.vertex_count} vertices: {name}\n")
             try:
-                peers[name] = measure(build, mesh, warm_up=warm_up, steps=steps)
+                peer = measure(build, mesh, warm_up=warm_up, steps=steps)
             except ImportError as error:
                 skipped[name] = f"not installed ({error}); {install_command('bench')}"
-        tell(f"{mesh.vertex_count} vertices: ours")
-        ours = measure(Ours, mesh, warm_up=warm_up, steps=steps)
-        peers_ms = {name: result["ms"] for name, result in peers.items()}
-        if peers_ms:
-            worst = min(worst, min(peers_ms.values()) / ours["ms"])
-        cases.append(
-            {
-                "vertices": mesh.vertex_count,
-                "ours_ms": ours["ms"],
-                "peers_ms": peers_ms,
-                "details": {"ours": ours, **peers},
-            }
-        )
-    return {
-        "cases": cases,
-        "worst_ratio": worst if np.isfinite(worst) else None,
-        "skipped": skipped,
-    }
-
-
-def table(result: dict) -> str:
-    """Return the cases as text."""
-    names = list(PEERS)
-    lines = [f"{'vertices':>8} {'ours':>8} " + " ".join(f"{n:>18}" for n in names)]
-    for case in result["cases"]:
-        cells = [
-            f"{case['peers_ms'][n]:9.1f} (x{case['peers_ms'][n] / case['ours_ms']:6.1f})"
-            if n in case["peers_ms"]
-            else f"{'-':>18}"
-            for n in names
-        ]
-        lines.append(f"{case['vertices']:8d} {case['ours_ms']:8.2f} " + " ".join(cells))
-    lines.append("CPU ms per 10 ms of simulated time, layers in contact (in brackets: over ours)")
-    return "\n".join(lines)
-
-
-def tell(text: str) -> None:
-    """Print progress on standard error."""
-    sys.stderr.write(text + "\n")
-
-
-def main() -> None:
-    """Run, print the table, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
-    parser.add_argument("--quick", action="store_true", help="the small shirt only, few steps")
-    options = parser.parse_args()
-    quiet_warp()
-    counts = [1000] if options.quick else [1000, 4000]
-    warm_up, steps = (2, 3) if options.quick else (5, 14)
-    result = bench(counts, warm_up=warm_up, steps=steps)
-    installed = {}
-    for name in PACKAGES:
-        try:
-            installed[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            installed[name] = None
-    result["provenance"] = {
-        "machine": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "packages": installed,
-        "warm_up_steps": warm_up,
-        "measured_steps": steps,
-    }
-    options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    sys.stdout.write(table(result) + "\n")
+                continue
+            row[name] = {**peer, "over_ours": peer["ms"] / ours["ms"]}
+            worst = min(worst, peer["ms"] / ours["ms"])
+        rows.append(row)
+    found = worst if np.isfinite(worst) else None
+    return {"rows": rows, "worst_ratio": found, "skipped": skipped}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark("solver", __doc__, compared)

@@ -8,25 +8,18 @@ correction) and the rest (first state, final alignment, visibility of the result
 `OMP_NUM_THREADS=1`.
 
     python benchmarks/bench_tracking.py --json out/bench_tracking.json [--quick]
-    python benchmarks/bench_tracking.py --json FILE --profile     adds the dearest functions
 """
 
-import argparse
-import cProfile
-import io
-import pstats
-import sys
-import tempfile
 import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from results import provenance, write_json
+from harness import run_benchmark
 from staged_fold import FILMED_VERTICES, FRAME_RATE, STEPS, shirt, staged
 
-from clothtrack.geometry import ClothMesh, one_way, quiet_warp
+from clothtrack.geometry import ClothMesh, one_way
 from clothtrack.recordings import Frame, Observation, Recording, observe
 from clothtrack.tracking import (
     Assembled,
@@ -112,62 +105,16 @@ def case(recording: Recording, vertex_count: int, solver: str, repeats: int) -> 
     }
 
 
-def profiled(recording: Recording, vertex_count: int, solver: str) -> str:
-    """Return the functions with the largest own time."""
-    mesh = shirt(vertex_count)
-    tracked(recording, mesh, solver)
-    profile = cProfile.Profile(time.process_time)
-    profile.enable()
-    tracked(recording, mesh, solver)
-    profile.disable()
-    text = io.StringIO()
-    pstats.Stats(profile, stream=text).strip_dirs().sort_stats("tottime").print_stats(25)
-    return text.getvalue()
-
-
-def table(rows: list[dict]) -> str:
-    """Return the rows as text."""
-    names = list(rows[0]["seconds"])
-    lines = [f"{'vertices':>8} {'solver':>6} " + " ".join(f"{name:>12}" for name in names)]
-    for row in rows:
-        cells = " ".join(f"{row['seconds'][name]:12.3f}" for name in names)
-        note = f"{row['times_recording']:.2f} of the recording, {row['trials']} roll-outs"
-        lines.append(f"{row['vertices']:8d} {row['solver']:>6} {cells}  {note}")
-    lines.append(f"CPU seconds for {STEPS} steps; the recording lasts {RECORDED_S:.1f} s")
-    return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    """Record, track at every size with both solvers and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
-    parser.add_argument("--quick", action="store_true", help="1,000 vertices, once")
-    parser.add_argument("--profile", action="store_true", help="add the dearest functions")
-    options = parser.parse_args()
-    quiet_warp()
-    counts, repeats = ([1000], 1) if options.quick else ([1000, 4000], 3)
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="bench-tracking-") as folder:
-        recording = staged(Path(folder) / "fold")
-        for count in counts:
-            for solver in SOLVERS:
-                rows.append(case(recording, count, solver, repeats))
-                if options.profile:
-                    rows[-1]["profile"] = profiled(recording, count, solver)
-                    sys.stderr.write(rows[-1]["profile"])
-    write_json(
-        options.json,
-        {
-            "benchmark": "tracking",
-            "filmed_vertices": FILMED_VERTICES,
-            "recorded_s": RECORDED_S,
-            "repeats": repeats,
-            "rows": rows,
-            "provenance": provenance(),
-        },
-    )
-    sys.stdout.write(table(rows))
+def measure(folder: Path, quick: bool) -> dict[str, object]:
+    """Record, and track at every size with both solvers."""
+    counts, repeats = ([1000], 1) if quick else ([1000, 4000], 3)
+    recording = staged(folder / "fold")
+    rows = [case(recording, count, solver, repeats) for count in counts for solver in SOLVERS]
+    return {
+        "filmed_vertices": FILMED_VERTICES, "recorded_s": RECORDED_S, "repeats": repeats,
+        "rows": rows,
+    }  # fmt: skip
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark("tracking", __doc__, measure)

@@ -33,11 +33,8 @@ class Curve:
     """Errors of one kind of state against the examples that were seen.
 
     Attributes:
-        name: of the kind.
-        states: how many there are.
         examples: that each of the weights had seen.
         errors_mm: mean error of each [mm].
-        spreads_mm: its standard error over states.
     """
 
     name: str
@@ -63,11 +60,7 @@ class Curve:
 
 
 def curves(rows: Sequence[dict[str, Any]], examples: Sequence[int]) -> list[Curve]:
-    """Return the curve of each kind, of all its states and of its heaps.
-
-    Raises:
-        ValueError: there are not as many networks as numbers of examples, or fewer than two.
-    """
+    """Return the curve of each kind, of all its states and of its heaps."""
     networks = list(dict.fromkeys(row["weights"] for row in rows))
     if len(networks) != len(examples) or len(networks) < 2:
         raise ValueError(

@@ -44,11 +44,7 @@ def drawn(row: dict[str, object], folder: Path) -> Picture:
 
 
 def sheet(judged: Path, keep: Path) -> Picture:
-    """Return ten meshes of each set, evenly taken.
-
-    Raises:
-        InvalidConfigError: nothing was judged.
-    """
+    """Return ten meshes of each set, evenly taken."""
     report, tiles = json.loads(judged.read_text(encoding="utf-8")), []
     for name in ("garments", "stickers"):
         rows = report.get(name, {}).get("rows", [])

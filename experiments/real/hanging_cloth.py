@@ -73,9 +73,6 @@ def template(folder: Path) -> ClothMesh:
     """Return the given first-frame cloth in the world; quads are cut along alternating diagonals.
 
     Its canonical coordinates are its flat ones [m], (x, y, 0).
-
-    Raises:
-        InvalidRecordingError: when the file is missing or is not a square grid of quads.
     """
     files = sorted(folder.glob("template*.obj"))
     if not files:
@@ -110,13 +107,7 @@ def measured_points(folder: Path) -> list[Float[np.ndarray, "points 3"]]:
 
 
 def convert(folder: Path, output: Path, *, frames: int | None = None) -> Path:
-    """Write the set as a recording and return its folder.
-
-    Args:
-        folder: the set.
-        output: the recording to be written.
-        frames: only so many of the first frames; None takes all.
-    """
+    """Write the set as a recording and return its folder."""
     camera = level_camera(folder / "intrinsics.json", CAMERA)
     mesh = template(folder)
     grips, held = _grips(folder / "actions.csv")
@@ -161,11 +152,7 @@ def score(
 
     Args:
         positions: vertices in the world [m], one row per frame.
-        faces: triangles of the positions.
-        folder: the set.
         material: flat coordinates of the vertices [m]; None when they are the template's.
-        frames: the set's frame of each row of positions; None counts from 0.
-        config: how the print is matched.
     """
     points, given = measured_points(folder), template(folder)
     frames = np.arange(len(positions)) if frames is None else frames

@@ -48,14 +48,7 @@ SQUARE = np.concatenate([TURNS, TURNS[:, ::-1]])
 
 @dataclass(frozen=True)
 class HangingFrames:
-    """Some frames of the hanging cloth.
-
-    Attributes:
-        name: unlike that of any other frames.
-        source: the set.
-        folder: the recording.
-        frames: of the recording.
-    """
+    """Some frames of the hanging cloth."""
 
     name: str
     source: Path

@@ -25,10 +25,7 @@ class Cloth(Protocol):
     """One recording of real cloth for training or testing.
 
     Attributes:
-        name: of the recording.
-        folder: the recording.
         size_m: width and length of the flat cloth [m].
-        frames: frames for training or scoring.
     """
 
     name: str

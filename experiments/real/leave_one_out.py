@@ -58,11 +58,7 @@ Folds = dict[str, dict[str, list[Napkin]]]
 
 
 def other_fabrics(found: Sequence[Napkin]) -> Folds:
-    """Return one fold for each fabric: all sequences of the others are learned from.
-
-    Raises:
-        InvalidConfigError: there is one fabric alone, or two names are of one sequence.
-    """
+    """Return one fold for each fabric: all sequences of the others are learned from."""
     fabrics = sorted({fabric_of(one.name) for one in found})
     if len(fabrics) < 2:
         raise InvalidConfigError(f"all sequences are of one fabric, {fabrics}; give those of two")
@@ -76,11 +72,7 @@ def other_fabrics(found: Sequence[Napkin]) -> Folds:
 
 
 def same_fabric(found: Sequence[Napkin]) -> Folds:
-    """Return one fold for each sequence: the others of its fabric are learned from.
-
-    Raises:
-        InvalidConfigError: a fabric has one sequence alone, or two names are of one sequence.
-    """
+    """Return one fold for each sequence: the others of its fabric are learned from."""
     parts = {}
     for one in found:
         train = [

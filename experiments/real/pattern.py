@@ -78,7 +78,6 @@ class Unwrapper:
 
         Args:
             material: flat coordinates of the vertices [m]; the cloth fills its bounding box.
-            config: resolution.
         """
         config = PatternConfig() if config is None else config
         low, high = material.min(axis=0), material.max(axis=0)

@@ -5,10 +5,16 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from clothtrack.geometry import ClothMesh, closest_on_mesh
+from clothtrack.geometry import Camera, ClothMesh, Rasterizer, closest_on_mesh
 from real.topdown import STICKER_INSET
 
 Points = Float[np.ndarray, "points 2"]
+
+
+def drawn_depth(mesh: ClothMesh, camera: Camera) -> Float[np.ndarray, "height width"]:
+    """Return the depth of the mesh in a camera [m]; 0 where it is not."""
+    depth = Rasterizer(mesh.faces, camera).render(mesh.vertices.astype(np.float64)).depth
+    return np.where(np.isfinite(depth), depth, 0.0).astype(np.float64)
 
 
 def silhouette_iou(

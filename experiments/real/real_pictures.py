@@ -32,9 +32,8 @@ import _path  # noqa: F401
 import numpy as np
 from jaxtyping import Float
 from shared.bench_measures import Row, finite
-from shared.figures import say, write_json, write_png
-from shared.learning_experiment import tiny_network
-from shared.learning_runs import kind_of
+from shared.figures import say, write_json
+from shared.learning_runs import kind_of, tiny_network
 from shared.verdict_words import of_each_word, told, trusted_without
 
 from clothtrack import __version__
@@ -48,10 +47,16 @@ from clothtrack.reconstruction.agreement import agreement_of
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.from_picture import distance_from_picture
-from clothtrack.recordings import read_mesh, write_mesh
-from real import drawn_topdown
-from real.picture_scores import Points, assigned, at_stickers, moved_in, silhouette_iou
-from real.picture_sheet import Picture, drawn_depth, sheet, tile
+from clothtrack.recordings import write_mesh
+from real.drawn_sets import write_topdown
+from real.picture_scores import (
+    Points,
+    assigned,
+    at_stickers,
+    drawn_depth,
+    moved_in,
+    silhouette_iou,
+)
 from real.topdown import (
     GARMENTS,
     PIXEL_M,
@@ -85,7 +90,6 @@ class Networks:
     Attributes:
         weights: by the garment that they are for, or "any"; those that come with clothtrack where
             none are.
-        device: where to compute.
     """
 
     weights: Mapping[str, Path] = field(default_factory=dict)
@@ -93,11 +97,7 @@ class Networks:
     _models: dict[str, Reconstructor] = field(default_factory=dict)
 
     def model(self, kind: str) -> Reconstructor:
-        """Return the network for a garment.
-
-        Raises:
-            InvalidResultError: there is none, or its weights are damaged.
-        """
+        """Return the network for a garment."""
         if kind not in self._models:
             self._models[kind] = load_model(kind, self._weights(kind), device=self.device)
         return self._models[kind]
@@ -279,13 +279,7 @@ def table(name: str, rows: Sequence[Row]) -> str:
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """Judge all pictures of the sets that are there; the report is written after each of them.
-
-    Raises:
-        InvalidRecordingError: `meta.json` of a set cannot be read.
-        InvalidResultError: weights are missing or damaged.
-        InvalidConfigError: two of them are for the same garment.
-    """
+    """Judge all pictures of the sets that are there; the report is written after each of them."""
     networks = Networks({kind_of(path): path for path in options.weights}, options.device)
     if len(networks.weights) < len(options.weights):
         raise InvalidConfigError("two of the weights are for the same garment; name one of them")
@@ -310,8 +304,6 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             if options.json is not None:
                 write_json(options.json, report)
         say(table(name, rows))
-        if keep is not None:
-            write_png(options.keep / f"{name}.png", _sheet(entries, rows, keep))
     for name in SETS:
         if name not in folders:
             say(f"{name}: skipped, there is no {options.data / name}\n")
@@ -323,7 +315,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, help="folder with garments/, stickers/ or both")
     parser.add_argument("--json", type=Path, help="rows and means; a second call goes on from it")
-    parser.add_argument("--keep", type=Path, help="folder of the meshes and a picture of each set")
+    parser.add_argument("--keep", type=Path, help="folder of the meshes")
     parser.add_argument(
         "--weights", type=Path, nargs="+", default=[], help="other than those that are shipped"
     )
@@ -335,7 +327,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     quiet_warp()
     with tempfile.TemporaryDirectory(prefix="real-pictures-") as temporary:
         if options.smoke:
-            options.data = options.data or drawn_topdown.write(Path(temporary) / "data")
+            options.data = options.data or write_topdown(Path(temporary) / "data")
             options.weights = options.weights or [
                 tiny_network(Path(temporary) / f"{kind}.safetensors", kind)
                 for kind in ("towel", "tshirt")
@@ -361,23 +353,6 @@ def _rows_of(file: Path | None, stamp: Mapping[str, object]) -> dict[tuple[str, 
 def _complete(row: Row, mesh: Path | None) -> bool:
     """Return whether a row's mesh is kept where meshes are, or there is none."""
     return mesh is None or row["cloud_to_mesh_m"] is None or mesh.exists()
-
-
-def _sheet(entries: Sequence[Entry], rows: Sequence[Row], keep: Path) -> Picture:
-    """Return all pictures of a set with their meshes, to look at."""
-    tiles = []
-    for entry, row in zip(entries, rows, strict=True):
-        try:
-            picture = entry.read()
-        except InvalidRecordingError:
-            continue
-        file = keep / f"{entry.name}.ply"
-        mesh = read_mesh(file) if row["cloud_to_mesh_m"] is not None else None
-        words = f"{entry.name} {entry.garment}: IoU {row['iou']:.2f}, "
-        words += f"{_number(row['chamfer_m2'], 1e4)}e-4 m2"
-        words += f", {row['word']}, {'right' if row['right'] else 'wrong'}"
-        tiles.append(tile(picture, mesh, words, np.array(row.get("corners_px", [])).reshape(-1, 2)))
-    return sheet(tiles)
 
 
 def _pooled(rows: Sequence[Row], key: str) -> list[float]:

@@ -45,13 +45,11 @@ class RobotSequence:
     """One lift or fold, as stored.
 
     Attributes:
-        name: name of the file, without its ending.
         task: "lift" or "fold": which start square it has.
         clouds: measured points per frame, robot frame [m].
         gripper: commanded tool position per frame [m].
         time_s: nominal times [s].
         lowest_z_m: height under which the source removed points [m].
-        cameras: both cameras.
         square: corners of the flat start square [m], in order around it.
         picked: the corner that the robot takes [m].
         table_height_m: height of the table [m].
@@ -74,7 +72,6 @@ class RobotCloudScore:
     """How well tracked positions fit one sequence, for each scored frame.
 
     Attributes:
-        frames: the scored frames.
         chamfer_pc_m2: counted visible vertices against counted points [m^2].
         cloud_to_mesh_m2: its half from points to vertices [m^2].
         band_as_target_m2: the same Chamfer distance where what lies in the band is not judged but
@@ -150,13 +147,7 @@ def start_mesh(sequence: RobotSequence) -> ClothMesh:
 
 
 def convert(file: Path, output: Path, *, frames: int | None = None) -> Path:
-    """Write one sequence as a recording that has only clouds, and return its folder.
-
-    Args:
-        file: the stored sequence.
-        output: the recording to be written.
-        frames: only so many of the first frames; None takes all.
-    """
+    """Write one sequence as a recording that has only clouds, and return its folder."""
     sequence = load(file)
     mesh = start_mesh(sequence)
     held = int(np.linalg.norm(mesh.vertices - sequence.picked, axis=1).argmin())
@@ -207,11 +198,6 @@ def score(
 
     Args:
         positions: vertices in the robot's frame [m], one row per frame.
-        faces: triangles of the positions.
-        file: the stored sequence.
-        rest: whose edges are the rest lengths; None takes the start square.
-        frames: the sequence's frame of each row of positions; None counts from 0.
-        first: first frame that is scored: before it the clouds hold few points, some of them stray.
     """
     sequence = load(file)
     rest = start_mesh(sequence) if rest is None else rest

@@ -51,12 +51,7 @@ LEAST_UNDER = 20
 
 @dataclass(frozen=True)
 class Napkin:
-    """One sequence: what was measured, and the recording that was made of it.
-
-    Attributes:
-        file: the stored sequence.
-        folder: the recording.
-    """
+    """One sequence: what was measured, and the recording that was made of it."""
 
     file: Path
     folder: Path
@@ -177,11 +172,7 @@ def _mesh_at(tracked: TrackedTrajectory, frame: int) -> ClothMesh:
 
 
 def napkins(data: Path, output: Path) -> list[Napkin]:
-    """Return the sequences of a folder, or of the set in it, as recordings below `output`.
-
-    Raises:
-        InvalidConfigError: there are none.
-    """
+    """Return the sequences of a folder, or of the set in it, as recordings below `output`."""
     inside = data / robot_clouds.NAME
     files = robot_clouds.sequences(inside if inside.is_dir() else data)
     if not files:
@@ -199,11 +190,7 @@ def napkins(data: Path, output: Path) -> list[Napkin]:
 
 
 def refuse_shared(learned: Sequence[Napkin], judged: Sequence[Napkin]) -> None:
-    """Refuse frames that are used for both training and testing, under any name.
-
-    Raises:
-        InvalidConfigError: one is.
-    """
+    """Refuse frames that are used for both training and testing, under any name."""
     known = {cloud: one for one in learned for cloud in _clouds(one)}
     for one in judged:
         shared = [known[cloud] for cloud in _clouds(one) if cloud in known]

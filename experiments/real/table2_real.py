@@ -37,8 +37,7 @@ import numpy as np
 from shared.bench_measures import Row, finite
 from shared.bench_runs import read_rows, write_rows
 from shared.figures import say, write_json
-from shared.learning_experiment import tiny_network
-from shared.learning_runs import Tuner, content_digest
+from shared.learning_runs import Tuner, content_digest, tiny_network
 from shared.run_tracker import track
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
@@ -55,7 +54,8 @@ from clothtrack.reconstruction.data.pseudo_labels import (
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.tracking import TrackedTrajectory
 from clothtrack_lab.published_networks.registered import SHIPPED as PUBLISHED
-from real import drawn_robot_clouds, hanging_cloth
+from real import hanging_cloth
+from real.drawn_sets import TABLE_M, write_robot_clouds
 from real.hanging_learning import hanging_frames
 from real.learned_cloth import KIND, Answer, Ask, Cloth
 from real.robot_learning import TO_CHOOSE, napkins, refuse_shared
@@ -93,12 +93,9 @@ class Plan:
     """All inputs of the rows.
 
     Attributes:
-        keep: folder of all that is kept.
         splits: recordings for training, "train", and for measuring: "choose", "test".
         starts: initial weights of the networks, by name.
-        tuner: fine-tuning of the networks.
         calibrated: False leaves the trackers' calibration out (smoke runs).
-        workers: processes that measure, one recording each.
     """
 
     keep: Path
@@ -320,11 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def planned(options: argparse.Namespace) -> Plan:
-    """Return the plan that the command line asks for.
-
-    Raises:
-        InvalidConfigError: a set is missing, or a recording is used for training and measuring.
-    """
+    """Return the plan that the command line asks for."""
     keep = options.json.with_suffix("")
     found = napkins(options.data, keep / "recordings")
     splits = {
@@ -349,9 +342,7 @@ def planned(options: argparse.Namespace) -> Plan:
 
 def smoke(options: argparse.Namespace, temporary: Path) -> Plan:
     """Return drawn clouds, and a published network that has learned nothing."""
-    options.data = drawn_robot_clouds.write(
-        temporary / "data", SMOKE_SEQUENCES, lowest_z_m=drawn_robot_clouds.TABLE_M
-    )
+    options.data = write_robot_clouds(temporary / "data", SMOKE_SEQUENCES, lowest_z_m=TABLE_M)
     options.json = options.json or temporary / "rows.json"
     options.settings = [*SMOKE_SETTINGS, *options.settings]
     plan = planned(options)

@@ -51,7 +51,6 @@ class RealPicture:
     """One picture, and what is known of it.
 
     Attributes:
-        depth: what the network is asked about.
         silhouette: where the cloth is, measured or not.
         color: the same view in color, red first.
         size_m: longer and shorter side of the cloth [m], where they are known.
@@ -67,14 +66,7 @@ class RealPicture:
 
 @dataclass(frozen=True)
 class Entry:
-    """A picture that is not read yet.
-
-    Attributes:
-        name: of the picture in its set.
-        garment: as the set calls it.
-        kind: as the network calls it.
-        read: reads it.
-    """
+    """A picture that is not read yet."""
 
     name: str
     garment: str
@@ -83,11 +75,7 @@ class Entry:
 
 
 def garments(folder: Path) -> list[Entry]:
-    """Return the pictures of folded garments.
-
-    Raises:
-        InvalidRecordingError: `meta.json` is missing or says too little.
-    """
+    """Return the pictures of folded garments."""
     meta = _meta(folder, "intrinsics", "id", "garment")
 
     def entry(frame: dict) -> Entry:
@@ -101,11 +89,7 @@ def garments(folder: Path) -> list[Entry]:
 
 
 def stickers(folder: Path) -> list[Entry]:
-    """Return the pictures of cloths with stickers on their corners.
-
-    Raises:
-        InvalidRecordingError: `meta.json` is missing or says too little.
-    """
+    """Return the pictures of cloths with stickers on their corners."""
     frames = _meta(folder, None, "frame", "cloth", "corner_stickers")["frames"]
 
     def entry(frame: dict) -> Entry:

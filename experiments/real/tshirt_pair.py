@@ -59,11 +59,7 @@ class TShirtScore:
 
 
 def frame_numbers(folder: Path) -> tuple[int, int]:
-    """Return numbers of the first and the second frame, from the name of the file with the motion.
-
-    Raises:
-        InvalidRecordingError: when there is no such file.
-    """
+    """Return the numbers of both frames, from the name of the file with the motion."""
     for file in sorted(folder.glob("flow_*_to_*.npz")):
         first, second = re.findall(r"\d+", file.stem)
         return int(first), int(second)
@@ -97,13 +93,7 @@ def front_mesh(folder: Path) -> ClothMesh:
 
 
 def convert(folder: Path, output: Path, *, frames: int | None = None) -> Path:
-    """Write the pair as a recording of two frames and one action, and return its folder.
-
-    Args:
-        folder: the set.
-        output: the recording to be written.
-        frames: ignored; there is nothing shorter than two frames.
-    """
+    """Write the pair as a recording of two frames and one action, and return its folder."""
     del frames
     camera, numbers, mesh = standing_camera(folder), frame_numbers(folder), front_mesh(folder)
     times = np.array([0.0, (numbers[1] - numbers[0]) / FRAME_RATE_HZ])

@@ -25,13 +25,7 @@ STAGES = {"before_final_alignment": "before", "after_final_alignment": "after"}
 
 
 def measure(tracked: TrackedTrajectory, recording: Recording, truth: Truth) -> list[Row]:
-    """Return two rows per action: before and after TTO2.
-
-    Args:
-        tracked: what the tracker left.
-        recording: what it was tracked from.
-        truth: the true meshes, with canonical coordinates.
-    """
+    """Return two rows per action: before and after TTO2."""
     where = true_places(tracked, truth)
     assert where is not None  # both have canonical coordinates
     worlds = {}
@@ -128,7 +122,6 @@ def swapped_layers(
     Args:
         vertices: to judge [m].
         points: where they really are [m].
-        mesh: the flat first mesh: it tells layers from neighbors.
         apart_m: layers nearer than this in truth [m] have no order.
     """
     reach_m = 0.75 * float(np.median(mesh.edge_lengths))
@@ -158,7 +151,6 @@ def in_order(
     Args:
         vertices: to judge [m].
         points: where they really are [m].
-        mesh: the flat mesh: it tells layers from neighbors.
     """
     found, true = _place_among_layers(vertices, mesh), _place_among_layers(points, mesh)
     apart = np.abs(found - true)

@@ -40,10 +40,7 @@ class Trajectory:
     """One recording of a benchmark, its truth, and the split it belongs to.
 
     Attributes:
-        name: of the recording.
-        kind: the garment.
         split: "dev", "test", "hard", or "" without splits.
-        recording: its folder.
         truth: the file that only the evaluation and the named controls read.
     """
 
@@ -64,8 +61,6 @@ class Variant:
     """A tracking variant; every field except the name is part of the hash.
 
     Attributes:
-        name: name in the tables.
-        config: settings of the tracker.
         method: name of a method of `shared.ablations`; that of the settings' mode when empty.
         vertex_count: resample the first mesh to about so many vertices; None leaves it.
         first_mesh_error: factor on the first mesh's deviation from the truth. Any value but 1 is a
@@ -91,14 +86,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Task:
-    """One run.
-
-    Attributes:
-        trajectory: trajectory to track.
-        variant: variant to track it with.
-        store: folder of all runs.
-        device: "cpu" or "cuda:0".
-    """
+    """One run."""
 
     trajectory: Trajectory
     variant: Variant
@@ -125,16 +113,7 @@ def _content_digest(recording: Path, truth: Path) -> str:
 def trajectories(
     bench: Path, split: str | None = None, limit: int | None = None
 ) -> list[Trajectory]:
-    """Return the recordings of a benchmark folder whose truth is there too.
-
-    Args:
-        bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
-        split: only this one; a folder without bench.json is one split and ignores it.
-        limit: so many, garments taking turns.
-
-    Raises:
-        InvalidConfigError: when nothing is left.
-    """
+    """Return the recordings of a benchmark folder whose truth is there too."""
     listed = bench / BENCH_FILE
     if listed.exists():
         entries = json.loads(listed.read_text(encoding="utf-8"))["trajectories"]

@@ -16,7 +16,7 @@ import logging
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError
@@ -42,8 +42,6 @@ SMOKE_SUBSTEP_S = 3.3e-3
 FILMED_SEED = 5000
 """Of the first trajectory that an experiment films itself; the benchmark's seeds lie below."""
 
-RAY_HELP = "let Ray track: local, with WORKERS processes here, or the address of a cluster"
-
 Run = tuple[Trajectory, Variant]
 
 
@@ -52,15 +50,10 @@ class Setup:
     """The inputs of an experiment's plan.
 
     Attributes:
-        bench: folder of the benchmark.
-        out: folder of the rows.
         split: the chosen split, None for all.
-        limit: largest number of trajectories.
         vertices: resample first meshes to so many vertices; None leaves them.
-        workers: number of processes.
         ray: address of the Ray cluster to track on; worker processes by default.
-        device: "cpu" or "cuda:0".
-        smoke: whether this is a smoke run.
+        options: the command line, with the experiment's own options.
     """
 
     bench: Path
@@ -72,6 +65,7 @@ class Setup:
     ray: str = ""
     device: str = "cpu"
     smoke: bool = False
+    options: argparse.Namespace = field(default_factory=argparse.Namespace)
 
     def trajectories(self, split: str | None = None) -> list[Trajectory]:
         """Return the trajectories of the chosen split, or of another one."""
@@ -80,14 +74,7 @@ class Setup:
     def variant(
         self, name: str, config: RunConfig | str = "default", method: str = "", **changes: object
     ) -> Variant:
-        """Return a variant, which is small in a smoke run.
-
-        Args:
-            name: name in the tables.
-            config: settings, or the name of a mode or of one of the paper's ablations.
-            method: name of a method of `shared.ablations`; that of the settings' mode by default.
-            changes: to other fields of the variant.
-        """
+        """Return a variant, which is small in a smoke run."""
         if isinstance(config, str):
             method = method or ("" if config in MODES else config)
             config = settings_of(config)
@@ -116,11 +103,8 @@ class Setup:
 
     def rows(self, experiment: str, runs: Sequence[Run]) -> list[Row]:
         """Make the missing runs; return every row with its labels."""
-        tasks = [
-            Task(trajectory, variant, self.out / "runs", self.device)
-            for trajectory, variant in runs
-        ]
-        parts = run_all(tasks, workers=self.workers, ray=self.ray, progress=_progress)
+        tasks = [Task(*run, self.out / "runs", self.device) for run in runs]
+        parts = run_all(tasks, workers=self.workers, ray=self.ray, progress=progress)
         return [
             {
                 "experiment": experiment,
@@ -137,38 +121,51 @@ class Setup:
 
 
 Plan = Callable[[Setup], list[Run]]
+AddOptions = Callable[[argparse.ArgumentParser], None]
 
 
 def run_experiment(
-    name: str, description: str, plan: Plan, arguments: Sequence[str] | None = None
+    name: str,
+    description: str,
+    plan: Plan,
+    arguments: Sequence[str] | None = None,
+    add_options: AddOptions | None = None,
 ) -> int:
     """Plan, track missing runs, write the rows and print the tables; return the exit code."""
-    options = parse(description, arguments)
+
+    def make(setup: Setup) -> list[Row]:
+        runs = plan(setup)
+        return setup.rows(name, _only(runs, setup.options.only) if setup.options.only else runs)
+
+    return write_table(name, description, make, arguments, add_options)
+
+
+def write_table(
+    name: str,
+    description: str,
+    make: Callable[[Setup], list[Row]],
+    arguments: Sequence[str] | None = None,
+    add_options: AddOptions | None = None,
+) -> int:
+    """Make the rows, write them and print the tables; return the exit code."""
+    options = parse(description, arguments, add_options)
     quiet_warp()
     logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR)
     with tempfile.TemporaryDirectory(prefix=f"{name}-") as temporary:
         bench = options.bench or Path(temporary)
         setup = Setup(
-            bench=bench,
-            out=options.out or bench / "experiments",
-            split=options.split,
-            limit=1 if options.smoke else options.limit,
-            vertices=options.vertices,
-            workers=options.workers,
-            ray=options.ray,
-            device=options.device,
-            smoke=options.smoke,
-        )
+            bench=bench, out=options.out or bench / "experiments", split=options.split,
+            limit=1 if options.smoke else options.limit, vertices=options.vertices,
+            workers=options.workers, ray=options.ray, device=options.device, smoke=options.smoke,
+            options=options,
+        )  # fmt: skip
         if options.smoke:
             simulate(bench, "towel", 1, config=SMALL_WORLD)
         try:
-            runs = plan(setup)
+            rows = make(setup)
         except ClothTrackError as error:
             sys.stderr.write(f"{error}\n")
             return 1
-        if options.only:
-            runs = _only(runs, options.only)
-        rows = setup.rows(name, runs)
         file = setup.out / f"{name}.jsonl"
         write_rows(rows, file)
         if options.smoke:
@@ -177,7 +174,9 @@ def run_experiment(
     return 1 if not rows or all("error" in row for row in rows) else 0
 
 
-def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespace:
+def parse(
+    description: str, arguments: Sequence[str] | None, add_options: AddOptions | None = None
+) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--bench", type=Path, help="folder of the benchmark")
@@ -187,10 +186,12 @@ def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespa
     parser.add_argument("--vertices", type=int, help="resample first meshes to about so many")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="variants, or beginnings of them")
     parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--ray", default="", metavar="ADDRESS", help=RAY_HELP)
+    parser.add_argument("--ray", default="", metavar="ADDRESS", help="local, or a cluster")
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--smoke", action="store_true", help="one small towel, under a minute")
     parser.add_argument("--verbose", action="store_true", help="log what happens")
+    if add_options is not None:
+        add_options(parser)
     options = parser.parse_args(arguments)
     if options.bench is None and not options.smoke:
         parser.error("give --bench FOLDER (clothtrack simulate FOLDER makes one), or --smoke")
@@ -218,6 +219,7 @@ def _short(config: RunConfig) -> RunConfig:
     )
 
 
-def _progress(text: str) -> None:
+def progress(text: str) -> None:
+    """Tell on standard error how far it is."""
     sys.stderr.write(text)
     sys.stderr.flush()

@@ -16,9 +16,6 @@ def resampled(recording: Recording, vertex_count: int) -> Recording:
 
     Every new vertex lies on the template's own surface, at the material point of its canonical
     coordinates: misplacement, scale and noise stay what they were, and no truth is asked.
-
-    Raises:
-        InvalidConfigError: when the template has no canonical coordinates.
     """
     template = _template(recording)
     cloth = recording.cloth
@@ -34,9 +31,6 @@ def with_first_mesh_error(recording: Recording, truth: Truth, factor: float) -> 
 
     This is a control, because it reads the truth. It measures the effect of a better or worse first
     mesh.
-
-    Raises:
-        InvalidConfigError: when the template has no canonical coordinates.
     """
     template = _template(recording)
     canonical = np.asarray(template.canonical, np.float64)

@@ -16,13 +16,7 @@ the paper."""
 
 
 def measured_on(bench: Path, split: str, held_out: int | None = None) -> list[Trajectory]:
-    """Return the trajectories of a benchmark folder to measure on.
-
-    Args:
-        bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
-        split: this one; without bench.json, the last of each garment's.
-        held_out: so many of these; a tenth, at least one, when None.
-    """
+    """Return the trajectories of a benchmark folder to measure on."""
     if not (bench / BENCH_FILE).exists():
         return parted(trajectories(bench), held_out)[1]
     return trajectories(bench, split)
@@ -31,15 +25,7 @@ def measured_on(bench: Path, split: str, held_out: int | None = None) -> list[Tr
 def parted(
     found: Iterable[Trajectory], count: int | None = None
 ) -> tuple[list[Trajectory], list[Trajectory]]:
-    """To learn from and to measure on: of each garment, by name, the last are held out.
-
-    Args:
-        found: trajectories of any garments.
-        count: so many are held out; a tenth, at least one, when None.
-
-    Raises:
-        InvalidConfigError: that would leave nothing of a garment to learn from.
-    """
+    """To learn from and to measure on: of each garment, by name, the last are held out."""
     ordered = sorted(found, key=lambda one: one.name)
     learned, held_out = [], []
     for kind in dict.fromkeys(one.kind for one in ordered):
@@ -61,13 +47,6 @@ def require_apart(learned: Iterable[Path], measured: Iterable[Path]) -> None:
 
     Files are compared by their content, pictures only: another document, another name, a part of
     it or its frames backwards do not make another recording (`same_film`).
-
-    Args:
-        learned: folders of the recordings that are learned from.
-        measured: folders of those that are measured on.
-
-    Raises:
-        InvalidConfigError: with the two recordings.
     """
     measured = list(measured)
     for one in learned:
@@ -90,9 +69,6 @@ def picture_digests(recording: Recording) -> frozenset[str]:
     Of each frame its depth pictures count; its cloud where there are none, its color where there
     is nothing else. A mask is no picture: the same one may be drawn twice. A picture that another
     program has compressed anew is another file.
-
-    Raises:
-        StorageError: a file cannot be read.
     """
     files: list[Path] = []
     for frame in recording.frames:
@@ -106,9 +82,5 @@ def same_film(one: frozenset[str], other: frozenset[str]) -> bool:
 
     So does a part of a recording, or one with another template, or turned around. Two pictures
     decide: a single one, in which nothing was measured, may be the same anywhere.
-
-    Args:
-        one: `picture_digests` of a recording.
-        other: of another.
     """
     return len(one & other) >= max(1, min(2, len(one), len(other)))

@@ -35,10 +35,7 @@ class Case:
     """One frame to reconstruct, with the data to score it.
 
     Attributes:
-        recording: the recording.
         truth: the true meshes, with canonical coordinates.
-        frame: frame of the recording.
-        kind: kind of garment.
         label: the tracker's mesh at that frame, where there is one.
     """
 

@@ -17,9 +17,12 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import numpy as np
+
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth
 from clothtrack.files import with_settings
+from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction import (
     DepthInput,
     NetworkMesh,
@@ -31,15 +34,16 @@ from clothtrack.reconstruction.design import Reconstructor as NetworkOfPictures
 from clothtrack.reconstruction.model_loading import designs
 from clothtrack.reconstruction.token_meshes import TokenMeshes
 from clothtrack.reconstruction.tokens.token_learning import MODEL
-from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig
 from clothtrack.tracking.pipeline import provenance
+from clothtrack_lab.published_networks.model import MeshReconstructor
+from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 from shared.bench_measures import Row
-from shared.bench_runs import Task, Trajectory, read_rows, write_rows
-from shared.learning_labels import digest_of, label_mesh
+from shared.bench_runs import Task, Trajectory, kept_labels, read_rows, write_rows
 from shared.learning_measures import LEARNING_ROW_FORMAT, Case, measure_reconstruction
 
 DIGITS = 12
@@ -47,15 +51,7 @@ DIGITS = 12
 
 @dataclass(frozen=True)
 class Reconstructor:
-    """One way from a depth picture to a mesh; every field is part of the hash but the name.
-
-    Attributes:
-        name: as the tables call it.
-        weights: file of the network.
-        method: "template" or "implicit".
-        refined: fine-tune at test time.
-        vertex_count: of a template, about.
-    """
+    """One way from a depth picture to a mesh; every field is part of the hash but the name."""
 
     name: str
     weights: Path
@@ -80,12 +76,9 @@ class Tuner:
     """How networks are fine-tuned, and where they are kept.
 
     Attributes:
-        store: folder of all fine-tuned networks.
         training: name of the training, of every design.
         settings: changes of its configuration; each design takes those of its own groups.
         held_out_share: of every stage; None: as the training says.
-        seed: of the training.
-        device: where it computes.
     """
 
     store: Path
@@ -96,11 +89,7 @@ class Tuner:
     device: str = "cpu"
 
     def tuned(self, start: Path, labels: Sequence[LabeledRecording]) -> Path:
-        """Return the weights after fine-tuning on these labels; trained where they are not kept.
-
-        Raises:
-            InvalidConfigError: the training was interrupted.
-        """
+        """Return the weights after fine-tuning on these labels; trained where they are not kept."""
         folder = self.folder(start, labels)
         if not (folder / MODEL).exists():
             begun = load_weights(start)
@@ -120,11 +109,7 @@ class Tuner:
         return folder / MODEL
 
     def config_of(self, start: Weights) -> Any:
-        """Return how a network that begins with these weights is trained.
-
-        Raises:
-            InvalidConfigError: a setting is wrong, or of no design.
-        """
+        """Return how a network that begins with these weights is trained."""
         config = design_of(start).configuration(self.training, seed=self.seed)
         loops = [one.name for one in fields(config) if _is_loop(getattr(config, one.name))]
         if self.held_out_share is not None:
@@ -163,11 +148,7 @@ def _digest(settings: object) -> str:
 
 
 def kind_of(weights: Path) -> str:
-    """Return the garment that weights are for.
-
-    Raises:
-        InvalidResultError: they are missing or damaged.
-    """
+    """Return the garment that weights are for."""
     return load_weights(weights).kind
 
 
@@ -198,17 +179,7 @@ def reconstruct_frame(
 def reconstruction_rows(
     trajectory: Trajectory, how: Reconstructor, store: Path, *, label: Task | None = None
 ) -> list[Row]:
-    """Return the rows of a trajectory's actions, each reconstructed from its last frame alone.
-
-    Args:
-        trajectory: recording and truth.
-        how: network and method.
-        store: folder of all rows.
-        label: a finished run whose meshes are the pseudo-labels that are compared with.
-
-    Returns:
-        One row per action, or one with an `error`, which is not kept.
-    """
+    """Return the rows of a trajectory's actions, each reconstructed from its last frame alone."""
     judged = "" if label is None else f"-{label.variant.digest}"
     key = f"{how.digest}-{trajectory.digest}{judged}-{LEARNING_ROW_FORMAT}"
     file = store / trajectory.name / f"{key}.jsonl"
@@ -247,3 +218,37 @@ def _measured(trajectory: Trajectory, how: Reconstructor, label: Task | None) ->
             }
         )
     return rows
+
+
+def label_mesh(task: Task, frame: int) -> ClothMesh | None:
+    """Return the tracker's mesh at a frame that ended an action; None when it labeled another."""
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    found = [label.vertices for label in labels if label.frame == frame]
+    return mesh.with_vertices(np.asarray(found[0], np.float64)) if found else None
+
+
+def digest_of(labels: Sequence[LabeledRecording]) -> str:
+    """Return ten hexadecimal digits that change with any picture or label."""
+    content = hashlib.sha256()
+    for one in labels:
+        content.update(f"{one.name} {one.kind} {one.frames}".encode())
+        content.update(np.asarray(one.mesh.canonical, np.float32).tobytes())
+        content.update(np.asarray(one.mesh.faces, np.int32).tobytes())
+        for picture in one.pictures:
+            for array in (picture.depth_m, picture.positions):
+                content.update(np.asarray(array, np.float32).tobytes())
+            content.update(picture.mask.tobytes())
+            content.update(np.asarray(picture.faces, np.int32).tobytes())
+    return content.hexdigest()[:10]
+
+
+def tiny_network(path: Path, kind: str = "towel") -> Path:
+    """Return a network that has learned nothing, small enough for a smoke run."""
+    import torch
+
+    if not path.exists():
+        torch.manual_seed(0)
+        save_weights(
+            path, MeshReconstructor(TINY_NETWORK, kind).state_dict(), TINY_NETWORK, kind=kind
+        )
+    return path

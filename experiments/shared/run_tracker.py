@@ -34,17 +34,6 @@ def track(
     """Track a recording in a named mode; the result is kept in OUTPUT/MODE/NAME.zarr.
 
     A result that lies there from the same recording and settings is read instead.
-
-    Args:
-        recording: its folder.
-        mode_name: one of `MODE_NAMES`.
-        output: folder of the results.
-        vertex_count: of the first mesh, when the recording has no template.
-        calibrated: False skips the search for cloth parameters (smoke runs).
-        device: "cpu" or "cuda:0".
-
-    Raises:
-        ClothTrackError: what was wrong with the recording.
     """
     config = replace(
         settings_of(mode_name), initial_state=InitialStateConfig(vertex_count=vertex_count)

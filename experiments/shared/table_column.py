@@ -13,13 +13,7 @@ class Column:
     """One column of a table.
 
     Attributes:
-        title: its heading.
-        key: the measure in the rows.
-        scale: factor on it.
-        digits: after the point.
-        stage: "before" or "after" TTO2.
         last: only the last action of each recording, as the paper measures.
-        spread: standard deviation and median too.
     """
 
     title: str
@@ -63,3 +57,15 @@ def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Return a Markdown table."""
     rule = ["---", *("---:" for _ in head[1:])]
     return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))
+
+
+def paired(gaps: np.ndarray, digits: int = 1) -> list[str]:
+    """Return mean and standard error of differences, and how many are negative."""
+    return [mean_and_error(gaps, digits, "+"), f"{int((gaps < 0).sum())} of {len(gaps)}"]
+
+
+def mean_and_error(values: np.ndarray, digits: int = 1, sign: str = "") -> str:
+    """Return the mean and its standard error."""
+    error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+    spread = f"{error:.{digits}f}" if np.isfinite(error) else "-"
+    return f"{values.mean():{sign}.{digits}f} ± {spread}"

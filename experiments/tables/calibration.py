@@ -35,11 +35,7 @@ METHODS = {"paper": "paper", "default": "default"}
 
 
 def plan(setup: Setup) -> list[Run]:
-    """Online over `dev` first, for the modes; then online, offline and uncalibrated.
-
-    Raises:
-        InvalidConfigError: a recording of `dev` is measured too.
-    """
+    """Online over `dev` first, for the modes; then online, offline and uncalibrated."""
     learned, measured = chosen(setup)
     variants = []
     for label, name in METHODS.items():
@@ -55,11 +51,7 @@ def plan(setup: Setup) -> list[Run]:
 
 
 def chosen(setup: Setup) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Return the trajectories for offline calibration, and those to measure.
-
-    Raises:
-        InvalidConfigError: a recording is in both.
-    """
+    """Return the trajectories for offline calibration, and those to measure."""
     if setup.smoke:
         # One towel for both: that everything runs is all that is asked.
         return setup.trajectories(), setup.trajectories()

@@ -33,7 +33,7 @@ from shared.bench_runs import (
     write_meshes,
 )
 from shared.figures import say, write_json
-from shared.table_column import table
+from shared.table_column import paired, table
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth, material_map, material_points
@@ -50,11 +50,7 @@ FLAT = Variant("from flat")
 
 
 def crumpled(recording: Recording) -> Recording:
-    """Return the recording from the frame before its second action on, without its template.
-
-    Raises:
-        InvalidConfigError: it has no second action.
-    """
+    """Return the recording from the frame before its second action on, without its template."""
     if len(recording.actions) < 2:
         raise InvalidConfigError(
             f"{recording.folder}: has {len(recording.actions)} actions; a crumpled start needs 2"
@@ -75,9 +71,7 @@ def errors_mm(
     """Return the mean vertex error [mm] at frames, under the symmetry with the least mean.
 
     Args:
-        mesh: tracked mesh with canonical coordinates.
         ends: frames of the truth, with the vertices [m] at each.
-        truth: with canonical coordinates.
     """
     canonical = np.asarray(mesh.canonical, np.float64)
     found = []
@@ -93,11 +87,7 @@ def errors_mm(
 
 
 def run(options: argparse.Namespace) -> list[Row]:
-    """Return one row per recording.
-
-    Raises:
-        InvalidConfigError: there is no recording, or there are no weights.
-    """
+    """Return one row per recording."""
     weights = options.weights or shipped_weights()
     if weights is None:
         raise InvalidConfigError("no weights come with clothtrack; name some with --weights")
@@ -153,12 +143,10 @@ def markdown(rows: Sequence[Row]) -> str:
                 for row in own if after < len(row["crumpled_mm"])
             ])  # fmt: skip
             gaps = pairs[:, 0] - pairs[:, 1]
-            error = gaps.std(ddof=1) / np.sqrt(len(gaps)) if len(gaps) > 1 else np.nan
             ours, theirs = pairs.mean(axis=0)
             lines.append([
                 kind, str(after + 1), str(len(pairs)), f"{ours:.1f}", f"{theirs:.1f}",
-                f"{np.median(pairs[:, 0]):.1f}", f"{gaps.mean():+.1f} ± {error:.1f}",
-                f"{int((gaps < 0).sum())} of {len(gaps)}",
+                f"{np.median(pairs[:, 0]):.1f}", *paired(gaps),
             ])  # fmt: skip
     head = ["garment", "actions", "recordings", "from crumpled, mm", "from flat, mm",
             "from crumpled, median", "difference", "crumpled nearer in"]  # fmt: skip

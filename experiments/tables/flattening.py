@@ -68,12 +68,7 @@ TRUTH = PerceptionConfig(name="truth")
 
 @dataclass(frozen=True)
 class Method:
-    """One line of the table.
-
-    Attributes:
-        name: name in the table.
-        config: configuration of flattening.
-    """
+    """One line of the table."""
 
     name: str
     config: FlattenConfig
@@ -81,15 +76,7 @@ class Method:
 
 @dataclass(frozen=True)
 class Task:
-    """One episode of one method.
-
-    Attributes:
-        method: method to run.
-        episode: episode to run.
-        out: folder of all episodes and starts.
-        robot: configuration of the simulated robot.
-        device: device to compute on.
-    """
+    """One episode of one method."""
 
     method: Method
     episode: SimulatedEpisode
@@ -245,7 +232,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         robot = SimulatedRobotConfig(film=False)
         if options.smoke:
             robot = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
-            if not options.weights:
+            if not options.weights and not missing_modules():
+                from shared.learning_runs import tiny_network
+
                 options.weights = tiny_network(out / "tiny.safetensors")
         try:
             chosen = methods(options)
@@ -305,22 +294,6 @@ def noted(rows: list[Row]) -> list[Row]:
     sys.stderr.write(f"{last['variant']}, {last['recording']}: {text}\n")
     sys.stderr.flush()
     return rows
-
-
-def tiny_network(path: Path) -> Path | None:
-    """Return weights of a network that has learned nothing; None where [learn] is not installed."""
-    if missing_modules():
-        return None
-    import torch
-
-    from clothtrack.reconstruction.training.checkpoint import save_weights
-    from clothtrack_lab.published_networks.model import MeshReconstructor
-    from clothtrack_lab.published_networks.network_config import TINY_NETWORK
-
-    torch.manual_seed(0)
-    model = MeshReconstructor(TINY_NETWORK, "towel")
-    save_weights(path, model.state_dict(), TINY_NETWORK, kind="towel")
-    return path
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

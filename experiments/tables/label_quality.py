@@ -42,12 +42,7 @@ LEAST_TRAJECTORIES = 3
 
 @dataclass(frozen=True)
 class Judged:
-    """One label of the benchmark, with evidence and truth.
-
-    Attributes:
-        row: its row of Table 1.
-        evidence: observed evidence of its quality.
-    """
+    """One label of the benchmark, with evidence and truth."""
 
     row: Row
     evidence: LabelEvidence
@@ -64,12 +59,7 @@ class Judged:
 
 
 def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Judged]:
-    """Return the labels of a variant's runs in folders of rows, with their evidence.
-
-    Raises:
-        InvalidResultError: there are no rows.
-        InvalidConfigError: one of another split is of a recording that the model is fitted on.
-    """
+    """Return the labels of a variant's runs in folders of rows, with their evidence."""
     runs: dict[tuple[Path, str], list[Row]] = {}
     for folder in folders:
         file = folder / "table1.jsonl"
@@ -117,11 +107,7 @@ def fitted(labels: Sequence[Judged], variant: str) -> QualityModel:
 
 
 def require_fitted_apart(bench: Path, labels: Sequence[Judged]) -> None:
-    """Refuse labels of recordings that the model is fitted on, under another name or split.
-
-    Raises:
-        InvalidConfigError: with the two recordings.
-    """
+    """Refuse labels of recordings that the model is fitted on, under another name or split."""
     folders: dict[bool, dict[str, Path]] = {True: {}, False: {}}
     for one in labels:
         fitted_on = one.row["split"] == FITTED_ON
@@ -139,10 +125,7 @@ def cross_validated(
     """Return expected error [m] of each label by a model that saw no label of its group.
 
     Args:
-        evidence: one per label.
         errors_m: their true mean vertex errors [m].
-        groups: the trajectory of each: labels of one are alike, so they go together.
-        shrinkage: as in `fit_quality`.
     """
     expected = np.empty(len(errors_m))
     member = np.array(groups)

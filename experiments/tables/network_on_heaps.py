@@ -24,9 +24,9 @@ import numpy as np
 from shared.bench_measures import Row, finite
 from shared.bench_runs import write_rows
 from shared.figures import say
-from shared.learning_columns import SYMMETRIC, SYMMETRIC_HIDDEN, SYMMETRIC_VISIBLE
 from shared.learning_measures import Case, vertex_errors
-from shared.table_column import Column, table
+from shared.table_column import Column, paired, table
+from shared.tables import SYMMETRIC
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
@@ -42,19 +42,14 @@ NAME = "network_on_heaps"
 COVERAGES = (0.0, 0.55, 0.7, 0.85, np.inf)
 """Bounds of the bands of true coverage in which errors are told."""
 
+SYMMETRIC_VISIBLE = Column("visible", "error_symmetric_visible_mm")
+SYMMETRIC_HIDDEN = Column("hidden", "error_symmetric_hidden_mm")
 CHAMFER = Column("Chamfer PC, 1e-4 m2", "chamfer_pc_m2", 1e4, 2)
 
 
 @dataclass(frozen=True)
 class Task:
-    """The pictures of one episode, seen by one network.
-
-    Attributes:
-        weights: of the network.
-        episode: its folder.
-        steps: of the episode.
-        kind: the garment.
-    """
+    """The pictures of one episode, seen by one network."""
 
     weights: Path
     episode: Path
@@ -63,11 +58,7 @@ class Task:
 
 
 def tasks_of(out: Path, kind: str, weights: Sequence[Path], every: int) -> list[Task]:
-    """Return every so many pictures of all finished episodes; a start's first picture once.
-
-    Raises:
-        InvalidConfigError: there are none.
-    """
+    """Return every so many pictures of all finished episodes; a start's first picture once."""
     found: list[tuple[Path, tuple[int, ...]]] = []
     begun: set[str] = set()
     number = 0
@@ -150,10 +141,7 @@ def markdown(rows: Sequence[Row]) -> str:
         means = SYMMETRIC.values(own)
         values = np.array(list(means.values()))
         gaps = np.array([means[name] - first[name] for name in means if name in first])
-        spread = gaps.std(ddof=1) / np.sqrt(len(gaps)) if len(gaps) > 1 else np.nan
-        pair = ["", ""] if network == networks[0] else [
-            f"{gaps.mean():+.1f} ± {spread:.1f}", f"{(gaps < 0).sum()} of {len(gaps)}"
-        ]  # fmt: skip
+        pair = ["", ""] if network == networks[0] else paired(gaps)
         deviation = f" ± {values.std(ddof=1):.1f}" if len(values) > 1 else ""
         line = [
             network, str(len(own)), f"{values.mean():.1f}{deviation}",

@@ -36,7 +36,7 @@ from shared.reconstruction_pictures import (
     line,
     mesh_picture,
 )
-from shared.table_column import table
+from shared.table_column import mean_and_error, paired, table
 from shared.verdict_words import of_each_word, told, trusted_without
 
 from clothtrack.errors import ClothTrackError
@@ -137,8 +137,6 @@ class State:
     """One state, its picture, and the truth about it.
 
     Attributes:
-        known: common fields of all its rows.
-        picture: input of the networks.
         true: the mesh as it lies [m].
     """
 
@@ -269,9 +267,7 @@ def error_table(rows: Sequence[Row]) -> str:
                 continue
             gaps = np.array([row["error_mm"] - first[_state(row)] for row in own
                              if _state(row) in first])  # fmt: skip
-            pair = ["", ""] if network == networks[0] else [
-                _mean_and_error(gaps), f"{int((gaps < 0).sum())} of {len(gaps)}"
-            ]  # fmt: skip
+            pair = ["", ""] if network == networks[0] else paired(gaps)
             pair = pair if several else []
             band = "all" if not low and np.isinf(high) else (
                 f"{100 * low:.0f} to {100 * min(high, 1.0):.0f} %"
@@ -280,7 +276,7 @@ def error_table(rows: Sequence[Row]) -> str:
             ordered = [100 * row["in_order"] for row in own if row["in_order"] is not None]
             lines.append([
                 kind, Path(network).name, band, str(len(own)),
-                _mean_and_error(np.array([row["error_mm"] for row in own])),
+                mean_and_error(np.array([row["error_mm"] for row in own])),
                 _mean([0.1 * row["error_mm"] / row["size_m"] for row in own]),
                 _mean([row["seen_mm"] for row in own]),
                 _mean([row["hidden_mm"] for row in own if "hidden_mm" in row]),
@@ -317,11 +313,6 @@ def _state(row: Row) -> tuple[object, ...]:
 
 def _mean(values: Sequence[float]) -> str:
     return f"{np.mean(values):.1f}" if len(values) else "-"
-
-
-def _mean_and_error(values: Float[np.ndarray, " rows"]) -> str:
-    spread = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
-    return f"{values.mean():.1f} ± {spread:.1f}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

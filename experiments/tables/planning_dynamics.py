@@ -59,9 +59,7 @@ class Done:
 
     Attributes:
         flat: the true garment, with canonical coordinates.
-        policy: that chose it.
         number: of the action in its episode, from 1.
-        action: what was done.
         before: true vertices before it [m].
         after: true vertices after it [m].
         perception: that it was planned from; "none" without a mesh.
@@ -81,11 +79,7 @@ class Done:
 
 
 def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
-    """Return all actions that are on disk, by the seed of their episode; each start is there once.
-
-    Raises:
-        InvalidConfigError: there are none.
-    """
+    """Return all actions that are on disk, by the seed of their episode."""
     found: dict[int, list[Done]] = {}
     for document in sorted(out.glob(f"flattening/*/episodes/{kind}_*/episode.json")):
         episode = json.loads(document.read_text(encoding="utf-8"))

@@ -45,13 +45,7 @@ class Task:
     """One recording in one mode.
 
     Attributes:
-        name: name of the recording.
         source: the set's folder or the sequence's file.
-        recording: the converted recording.
-        results: where tracked results go.
-        mode: the tracker's mode.
-        smoke: skip calibration.
-        device: "cpu" or "cuda:0".
     """
 
     name: str

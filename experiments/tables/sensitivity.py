@@ -37,11 +37,11 @@ ACTIONS = 6
 AXES = ("rigidity", "explosion", "vertices", "thickness", "cloud", "first mesh", "noise", "actions")
 
 
-def plan(setup: Setup, axes: Sequence[str] = AXES) -> list[Run]:
+def plan(setup: Setup) -> list[Run]:
     """Every value of the chosen axes; a smoke run takes the first two of each."""
     default = mode("default")
     runs: list[Run] = []
-    for axis in axes:
+    for axis in setup.options.axes:
         if axis == "noise":
             runs += _noise(setup)
         elif axis == "actions":
@@ -120,10 +120,11 @@ def _few(setup: Setup, values: list) -> list:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
-    own = argparse.ArgumentParser(add_help=False)
-    own.add_argument("--axes", nargs="+", choices=AXES, default=list(AXES))
-    chosen, others = own.parse_known_args(arguments)
-    return run_experiment("sensitivity", __doc__, lambda setup: plan(setup, chosen.axes), others)
+    return run_experiment("sensitivity", __doc__, plan, arguments, _add_options)
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--axes", nargs="+", choices=AXES, default=list(AXES))
 
 
 if __name__ == "__main__":

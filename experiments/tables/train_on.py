@@ -71,11 +71,7 @@ def states_of(options: argparse.Namespace, config: StatesConfig) -> list[StateSe
 
 
 def trained(options: argparse.Namespace, states: Sequence[StateSet]) -> Path:
-    """Return the weights after the hours of this round.
-
-    Raises:
-        SystemExit: the training was interrupted.
-    """
+    """Return the weights after the hours of this round."""
     config = LearningConfig.preset("pretrain", seed=0)
     if options.smoke:
         config = with_settings(config, [

@@ -49,10 +49,8 @@ class Label:
     """One label with what is known of its vertices.
 
     Attributes:
-        name: trajectory and number of the action.
         spread_m: how far apart the candidates end [m].
         error_m: distance from the truth [m].
-        hidden: no camera sees the vertex.
     """
 
     name: str
@@ -85,11 +83,7 @@ class Label:
 
 
 def labels(path: Path, truths: Path) -> list[Label]:
-    """Return the labels of a trajectory whose candidates were tracked.
-
-    Raises:
-        InvalidResultError: the trajectory or its truth cannot be read.
-    """
+    """Return the labels of a trajectory whose candidates were tracked."""
     tracked = TrackedTrajectory.load(path)
     truth = Truth.load(truths / f"{tracked.name}.npz")
     canonical = np.asarray(tracked.mesh.canonical, np.float64)

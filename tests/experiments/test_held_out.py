@@ -7,14 +7,9 @@ import cv2
 import pytest
 from shared import held_out
 from shared.bench_runs import trajectories
-from tables import calibration
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.recordings import (
-    read_recording,
-    recording_digest,
-    shipped_recording,
-)
+from clothtrack.recordings import shipped_recording
 
 SHIPPED = shipped_recording()
 
@@ -45,37 +40,8 @@ def test_a_folder_without_a_list_is_parted_as_the_paper_does(tmp_path, count, le
     assert [*towels[0], *towels[1]] == sorted([*towels[0], *towels[1]])
 
 
-def test_so_many_are_held_out_as_are_asked_for(tmp_path):
-    fill(tmp_path, *(f"towel_{number:04d}" for number in range(20)), "tshirt_0000", "tshirt_0001")
-    for count, learned in ((1, 20), (None, 19)):
-        first, last = held_out.parted(trajectories(tmp_path), count)
-        assert last == held_out.measured_on(tmp_path, "test", count)
-        assert (len(first), len(first) + len(last)) == (learned, 22)
-    for count in (0, 2):
-        with pytest.raises(InvalidConfigError, match=f"is {count}, and there are .*hold out 1 to"):
-            held_out.measured_on(tmp_path, "test", count)
-
-
-def test_a_list_decides_where_there_is_one(tmp_path):
-    fill(tmp_path, "towel_0000", "towel_0001")
-    entries = [
-        {"name": f"towel_000{number}", "kind": "towel", "split": split}
-        for number, split in enumerate(("test", "dev"))
-    ]
-    (tmp_path / "bench.json").write_text(json.dumps({"trajectories": entries}))
-    assert [one.name for one in held_out.measured_on(tmp_path, "dev")] == ["towel_0001"]
-    assert [one.name for one in held_out.measured_on(tmp_path, "test")] == ["towel_0000"]
-
-
 def renamed(folder):
     shutil.copytree(SHIPPED, folder)
-
-
-def with_another_document(folder):
-    shutil.copytree(SHIPPED, folder)
-    document = json.loads((folder / "recording.json").read_text())
-    document["cloth"] = {"kind": "towel"}
-    (folder / "recording.json").write_text(json.dumps(document))
 
 
 def cut_short(folder):
@@ -86,19 +52,14 @@ def cut_short(folder):
     (folder / "recording.json").write_text(json.dumps(document))
 
 
-@pytest.mark.parametrize("disguise", [renamed, with_another_document, cut_short])
+@pytest.mark.parametrize("disguise", [renamed, cut_short])
 def test_a_recording_is_known_again_under_another_name(tmp_path, disguise):
     disguise(tmp_path / "elsewhere" / "towel_0007")
     other = tmp_path / "elsewhere" / "towel_0007"
     with pytest.raises(InvalidConfigError) as refused:
         held_out.require_apart([SHIPPED], [other])
-    (line,) = str(refused.value).splitlines()
-    assert str(SHIPPED) in line
-    assert str(other) in line
-    assert "record another" in line
-    if disguise is not renamed:
-        first, second = read_recording(SHIPPED), read_recording(other)
-        assert recording_digest(first) != recording_digest(second)
+    assert str(SHIPPED) in str(refused.value)
+    assert str(other) in str(refused.value)
 
 
 def test_recordings_of_other_pictures_are_apart(tmp_path):
@@ -113,21 +74,3 @@ def test_recordings_of_other_pictures_are_apart(tmp_path):
     held_out._pictures.cache_clear()
     held_out.require_apart([SHIPPED], [other])
     assert not held_out.same_film(frozenset(), frozenset())
-    assert len(held_out.picture_digests(read_recording(SHIPPED))) > 10
-
-
-def test_offline_parameters_do_not_come_from_what_is_measured(tmp_path, monkeypatch):
-    class Setup:
-        smoke, split, bench = False, None, fill(tmp_path, "towel_0000", "towel_0001")
-
-        def trajectories(self, split=None):
-            return trajectories(self.bench, split or self.split)
-
-    compared = []
-    monkeypatch.setattr(
-        calibration, "require_apart", lambda *both: compared.append([[*one] for one in both])
-    )
-    learned, measured = calibration.chosen(Setup())
-    assert [one.name for one in learned] == ["towel_0000"]
-    assert [one.name for one in measured] == ["towel_0001"]
-    assert compared == [[[learned[0].recording], [measured[0].recording]]]

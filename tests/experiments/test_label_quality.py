@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shared.bench_runs import read_rows
 from tables import label_quality
 from tables.label_quality import Judged, cross_validated
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation import LabelEvidence, QualityModel
+from clothtrack.evaluation import LabelEvidence
 
 STAMP = {"commit": "abc", "config_hash": "def"}
 
@@ -59,46 +58,8 @@ def test_the_model_sees_no_label_but_those_of_dev():
         label_quality.fitted(test, "default")
 
 
-def test_the_table_tells_a_relation_from_none():
-    report, untold = judged("test"), judged("test", noise=4.0, seed=2)
-    model = label_quality.fitted([*judged("dev", seed=3)], "default")
-    for labels, low, high in ((report, 0.95, 1.0), (untold, -0.6, 0.6)):
-        ((own, expected),) = label_quality.expectations(labels, model).values()
-        rank = label_quality.rank_correlation(expected, [one.error_m for one in own])
-        assert low <= rank <= high
-    text = label_quality.scores(label_quality.expectations(report, model))
-    assert "| test | 24 | 1.00 | 1.00 | 1.00 |" in text
-
-
-def test_dev_is_judged_by_other_trajectories():
-    dev = judged("dev")
-    model = label_quality.fitted(dev, "default")
-    ((_, expected),) = label_quality.expectations(dev, model).values()
-    seen = [model.expected_error_m(one.evidence) for one in dev]
-    assert expected == pytest.approx(seen, rel=0.2)
-    assert not np.allclose(expected, seen, rtol=1e-6)
-
-
 def test_correlation_needs_spread_and_leaves_out_what_is_unknown():
     assert label_quality.rank_correlation([1, 2, 3, 4, np.nan], [2, 4, 6, 9, 1]) == 1.0
     assert label_quality.rank_correlation([1, 2, 3, 4], [4, 3, 2, 1]) == -1.0
     assert np.isnan(label_quality.rank_correlation([1, 1, 1, 1], [4, 3, 2, 1]))
     assert np.isnan(label_quality.rank_correlation([1, 2], [1, 2]))
-
-
-def test_the_command_fits_writes_and_prints(monkeypatch, tmp_path, capsys):
-    labels = [*judged("dev"), *judged("test", noise=0.3, seed=5)]
-    monkeypatch.setattr(label_quality, "judged_labels", lambda *_: labels)
-    model = tmp_path / "model.json"
-    arguments = ["--bench", str(tmp_path), "--rows", str(tmp_path), "--model", str(model)]
-    assert label_quality.main(arguments) == 1
-    assert "is not a label quality model" in capsys.readouterr().err
-    assert label_quality.main([*arguments, "--fit"]) == 0
-    assert QualityModel.load(model).weights["silhouette_gap"] > 0.0
-    printed = capsys.readouterr().out
-    assert "| dev, cross-validated | 24 |" in printed
-    assert "| silhouette_gap | +1.00 | +1.00 | +1.00 |" in printed
-    rows = read_rows(tmp_path / "label_quality.jsonl")
-    assert len(rows) == 48
-    assert {row["cross_validated"] for row in rows if row["split"] == "dev"} == {True}
-    assert all(row["expected_error_mm"] > 0 for row in rows)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from shared import tables
-from shared.bench_runs import write_rows
-from tables.tables import main
 
 STAMP = {"commit": "abc1234", "clothtrack": "0.1.0"}
 
@@ -73,25 +71,6 @@ def test_what_failed_is_named_and_not_averaged(rows):
     assert "- failed: default, towel_2: it burst" in text
     assert "2 recordings of the split test, 100 vertices; clothtrack 0.1.0 at abc1234" in text
     assert "action 1" in text
-
-
-def test_garments_stand_apart(rows):
-    other = [{**each, "kind": "tshirt"} for each in rows if each["recording"] == "towel_1"]
-    kept = [each for each in rows if each["recording"] == "towel_0"]
-    assert line_of(tables.by_garment([*kept, *other]), "default")[1:] == [
-        "5.5 / - / -", "17.5 / - / -",
-    ]  # fmt: skip
-    assert "by garment" in tables.markdown("table1", [*kept, *other])
-    assert "by garment" not in tables.markdown("table1", rows)
-
-
-def test_tables_come_from_files_and_go_to_one(rows, tmp_path, capsys):
-    write_rows(rows, tmp_path / "table1.jsonl")
-    assert main(["--rows", str(tmp_path), "--markdown", str(tmp_path / "t.md")]) == 0
-    text = (tmp_path / "t.md").read_text()
-    assert text == capsys.readouterr().out
-    assert text == tables.markdown("table1", rows)
-    assert main(["collision", "--rows", str(tmp_path)]) == 1
 
 
 def test_every_experiment_of_the_paper_has_columns_and_a_title():

@@ -1,6 +1,7 @@
-"""Synthetic data in the layout of `real/topdown.py`: folded towels for smoke runs."""
+"""Drawn data in the layout of the real sets, for smoke runs: towels from above, rising squares."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.garments import garment
 from clothtrack.geometry import Camera, ClothMesh
-from real.picture_sheet import drawn_depth
+from real.picture_scores import drawn_depth
+from real.robot_clouds import NAME
 from real.topdown import (
     CAMERA_HEIGHT_M,
     GARMENTS,
@@ -37,7 +39,7 @@ def folded() -> ClothMesh:
     return flat.with_vertices(bent)
 
 
-def write(folder: Path) -> Path:
+def write_topdown(folder: Path) -> Path:
     """Write both sets, one picture and two pictures; returns the folder."""
     _write_garment(folder / GARMENTS)
     _write_stickers(folder / STICKERS)
@@ -103,3 +105,53 @@ def _write_meta(folder: Path, meta: dict) -> None:
 def _new(path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
+
+
+FRAMES, SQUARE_M, TABLE_M, CUT_M, STEP_M = 9, 0.2, 0.05, 0.06, 0.02
+POINTS = 101
+# x right is world x, y down is world -y.
+POSE = [[1.0, 0.0, 0.0, 0.1], [0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 1.0]]
+
+
+def write_robot_clouds(
+    folder: Path, names: Sequence[str] = ("lift_white",), *, lowest_z_m: float = CUT_M
+) -> Path:
+    """Write the set below `folder`, and return `folder`.
+
+    The first square rises level by 2 cm per frame; each further one leans by one degree more. There
+    are no points below `lowest_z_m`.
+    """
+    (folder / NAME / "sequences").mkdir(parents=True)
+    corners = [[0, 0], [SQUARE_M, 0], [SQUARE_M, SQUARE_M], [0, SQUARE_M]]
+    corners = [[*corner, TABLE_M] for corner in corners]
+    camera = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0, "width": 640, "height": 480}
+    start = {"table_height_m": TABLE_M, "corners_m": corners, "picked_corner_m": corners[2]}
+    meta = {
+        "cameras": {"overhead": camera | {"camera_to_robot_3x4": POSE}},
+        "initial_cloth": {"lift": start},
+        "sequences": [{"name": name, "task": "lift", "lowest_z_m": lowest_z_m} for name in names],
+    }
+    (folder / NAME / "meta.json").write_text(json.dumps(meta))
+    for number, name in enumerate(names):
+        _write_sequence(folder / NAME / "sequences" / f"{name}.npz", np.radians(number), lowest_z_m)
+    return folder
+
+
+def cloud_at(height_m: float, lean_rad: float = 0.0) -> Float[np.ndarray, "points 3"]:
+    """Return points of the square at a height [m]."""
+    ticks = np.linspace(0, SQUARE_M, POINTS)
+    cloud = np.stack(np.meshgrid(ticks, ticks, [height_m]), -1).reshape(-1, 3)
+    return cloud + np.outer(cloud[:, 0] * np.tan(lean_rad), (0, 0, 1))
+
+
+def _write_sequence(file: Path, lean_rad: float, lowest_z_m: float) -> None:
+    heights = TABLE_M + STEP_M * np.arange(FRAMES)
+    clouds = [cloud_at(h, lean_rad) if h >= lowest_z_m else np.zeros((0, 3)) for h in heights]
+    lift = SQUARE_M * np.tan(lean_rad)
+    np.savez(
+        file,
+        points_tenth_mm=np.rint(np.concatenate(clouds) * 1e4).astype(np.int16),
+        offsets=np.cumsum([0, *map(len, clouds)]),
+        gripper_m=np.stack([[SQUARE_M, SQUARE_M, height + lift] for height in heights]),
+        time_s=0.1 * np.arange(FRAMES),
+    )
