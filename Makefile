@@ -1,6 +1,6 @@
 # One verb per wish. Everything is installed into .venv, nothing outside this folder.
 #
-#   make install   install clothtrack; make EXTRAS=rerun,realsense install: with these extras
+#   make install   install clothtrack; make EXTRAS=realsense install: with this extra
 #   make learn     install what learning and the network need too (the extra learn)
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests

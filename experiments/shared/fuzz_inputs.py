@@ -221,8 +221,8 @@ def _spoil_text(path: Path, rng: np.random.Generator) -> None:
 
 
 def _resealed_npz(path: Path, rng: np.random.Generator) -> None:
-    """Other arrays, with the SHA-256 that belong to them."""
-    from clothtrack.files.sealed_npz import read_npz, write_npz
+    """Other arrays, with the CRC that belong to them."""
+    from clothtrack.files.arrays import read_npz, write_npz
 
     arrays = read_npz(path)
     texts = [name for name, values in arrays.items() if str(values).startswith("{")]
@@ -236,15 +236,13 @@ def _resealed_npz(path: Path, rng: np.random.Generator) -> None:
 
 
 def _resealed_zarr(folder: Path, rng: np.random.Generator) -> None:
-    """Another array or attribute, with the SHA-256 that belong to it."""
+    """Another array or attribute, with the CRC that belong to it."""
     import zarr
 
-    from clothtrack.files import sealed_zarr
+    from clothtrack.files.arrays import put_array
 
     group = zarr.open_group(folder, mode="r+")
     attributes = group.attrs.asdict()
-    for name in (sealed_zarr.DIGEST, sealed_zarr.CONTENTS):
-        attributes.pop(name, None)
     if rng.random() < 0.4:
         attributes = spoilt_document(attributes, rng)
         attributes = attributes if isinstance(attributes, dict) else {}
@@ -258,5 +256,5 @@ def _resealed_zarr(folder: Path, rng: np.random.Generator) -> None:
             old = group[name].attrs.asdict()
             del group[name]
             if name in changed:
-                sealed_zarr.put_array(group, name, changed[name], unit=old.get("unit", ""))
-    sealed_zarr.seal(group, attributes)
+                put_array(group, name, changed[name], unit=old.get("unit", ""))
+    group.attrs.update(attributes)

@@ -112,7 +112,7 @@ def violates(row: dict) -> bool:
 def _is_document(path: Path) -> bool:
     """Return whether a file grows with the work: a list, or a state of training or episode."""
     if path.name in ("bench.json", "states.json", "episode.json", "improvement.json", "README.md",
-                     "model_card.md", "best.safetensors", "recording.json"):  # fmt: skip
+                     "best.safetensors", "recording.json"):  # fmt: skip
         if path.suffix == ".json":
             json.loads(path.read_text())
         return True

@@ -49,7 +49,6 @@ from clothtrack.planning.flatten_config import episode_identity
 from clothtrack.planning.planning_dynamics import MotionConfig
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
-from clothtrack.report.flattening_page import write_film_strip
 from clothtrack_lab.baselines.flattening_policies import POLICIES
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
 from clothtrack_lab.world import (
@@ -179,9 +178,6 @@ def run(task: Task) -> list[Row]:
         )
     except ClothTrackError as error:
         return [{**named, "error": str(error)}]
-    strip = task.folder / "strips" / f"{task.episode.label}.png"
-    if not strip.exists():
-        write_film_strip(store, strip)
     return [{**named, **row} for row in rows_of(store, task)]
 
 

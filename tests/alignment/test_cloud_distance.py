@@ -16,12 +16,6 @@ def test_points_within_reach_are_those_of_all_distances(reach_m):
     np.testing.assert_array_equal(within_reach(points, vertices, reach_m), points[near])
 
 
-def test_nothing_is_within_reach_of_nothing():
-    points = np.zeros((4, 3))
-    assert not len(within_reach(points, points[:0], 0.1))
-    assert not len(within_reach(points[:0], points, 0.1))
-
-
 @pytest.mark.parametrize("spread_m", [0.2, 50.0])
 def test_what_is_beside_vertices_holds_all_points_within_reach(spread_m):
     rng = np.random.default_rng(1)

@@ -27,7 +27,7 @@ def on_device(values):
     return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3, device="cpu")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("step", [1e-4, 1e-3, 2e-2])
 def test_matches_are_exact_in_every_iteration(seed, step):
     rng = np.random.default_rng(seed)
@@ -82,38 +82,6 @@ def test_matches_are_exact_in_every_iteration(seed, step):
         wp.launch(
             place,
             dim=300,
-            inputs=[
-                on_device(where), matcher.grid.recorded, matcher.grid.cells, matcher.progress,
-                positions,
-            ],
-            device="cpu",
-        )  # fmt: skip
-
-
-def test_a_vertex_that_swings_has_only_the_points_beside_it_searched():
-    across = np.linspace(-0.2, 0.2, 41)
-    sheet = np.array([(x, y, 0.0) for x in across for y in across])
-    cloud = sheet[(np.abs(sheet) < 0.19).all(axis=1)] + [0.002, 0.001, 0.003]
-    everything = np.ones(len(sheet), bool)
-    positions, points = on_device(sheet), on_device(cloud)
-    matcher = Matcher(
-        points, positions, everything, everything, spacing_m=0.01, range_m=(0.004, 0.03)
-    )
-    sums = wp.zeros((6, 6), dtype=wp.int64, device="cpu")
-    swinging = len(sheet) // 2
-    for iteration in range(6):
-        before = matcher.limits()
-        matcher.launch(positions, sums)
-        searched = matcher.limits() != before
-        if iteration:
-            near = np.linalg.norm(cloud - sheet[swinging], axis=1) < 0.05
-            assert searched.any()
-            assert not searched[~near].any()
-        where = sheet.copy()
-        where[swinging, 0] += 0.005 * (1 - iteration % 2)
-        wp.launch(
-            place,
-            dim=len(sheet),
             inputs=[
                 on_device(where), matcher.grid.recorded, matcher.grid.cells, matcher.progress,
                 positions,

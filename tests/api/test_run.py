@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.evaluation import trajectory_verdict
+from clothtrack.evaluation.verdict import judge, trajectory_verdict
 from clothtrack.tracking import pipeline
 
 
@@ -65,6 +65,21 @@ def test_frames_after_the_last_action_keep_its_mesh_and_are_told(world, run, tmp
 def test_what_tracking_has_looked_at_gives_the_verdict_of_looking_anew(run, recording):
     inspection = ct.inspect_recording(recording.folder)
     assert run.verdict == trajectory_verdict(ct.judge_labels(run, recording), inspection.geometry)
+
+
+def test_trust_says_what_it_rests_on_where_nothing_has_a_known_length(run, recording):
+    said = "neither size nor template confirms the focal length"
+    cloth = recording.cloth
+    bare = replace(cloth, template=None, size_m=None, held_vertices={})
+    for known in (replace(bare, size_m=(0.26, 0.2)), replace(bare, template=run.mesh)):
+        given = judge(run, replace(recording, cloth=known))
+        assert said not in {one.text for one in given.evidence}
+    found = judge(run, replace(recording, cloth=bare))
+    (rests_on,) = (one for one in found.evidence if one.text == said)
+    assert rests_on.word == "trust"
+    good = [replace(one, expected_error_mm=2.0) for one in ct.judge_labels(run, recording)]
+    told = trajectory_verdict(good, rests_on=[rests_on])
+    assert str(told) == f"trust: expected error 2.0 mm (trusted up to 8); {said}"
 
 
 def test_a_run_finds_the_recording_that_lies_where_simulate_puts_it(run, world):

@@ -77,14 +77,6 @@ def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(napkin, tmp_
     assert not (tmp_path / "plan").exists()
 
 
-def test_a_dry_run_without_a_mesh_needs_a_recording_only(napkin, tmp_path, capsys):
-    words = ["flatten", str(tmp_path / "plan"), "--policy", "heuristic"]
-    assert cli.main([*words, "--recording", str(napkin)]) == 0
-    assert "action_00.png" in capsys.readouterr().out
-    told = json.loads((tmp_path / "plan" / "action_00.json").read_text())
-    assert len(told["waypoints"]) == 6
-
-
 def test_the_truth_is_not_to_be_had_in_a_dry_run(napkin, tmp_path, capsys):
     words = ["flatten", str(tmp_path / "plan"), "--perception", "truth"]
     assert cli.main([*words, "--recording", str(napkin)]) == 1
@@ -102,6 +94,3 @@ def test_dynamics_are_made_and_trained_by_one_call(tmp_path):
     outcome = lab.train_dynamics(tmp_path, roll_outs=3, settings=settings)
     assert outcome.weights.name == "best.safetensors"
     assert len(list((tmp_path / "roll_outs").glob("*/shards/*.npz"))) == 2
-    card = (tmp_path / "model" / "model_card.md").read_text()
-    assert "towel, tshirt" in card
-    assert "whole error mm" in card

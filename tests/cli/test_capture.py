@@ -35,15 +35,6 @@ def test_calibrate_camera_writes_the_recording(table_film, capsys):
     assert recording.table is not None
 
 
-def test_calibrate_camera_can_leave_the_recording_alone(table_film, tmp_path, capsys):
-    before = (table_film / "recording.json").read_bytes()
-    output = tmp_path / "pose.json"
-    assert cli.main(["calibrate-camera", str(table_film), "--output", str(output)]) == 0
-    assert (table_film / "recording.json").read_bytes() == before
-    assert "tilt_deg" in capsys.readouterr().out
-    assert json.loads(output.read_text())["table"]["normal"] == [0, 0, 1]
-
-
 def test_hand_eye_wants_a_board(table_film, tmp_path, capsys):
     words = ["calibrate-camera", str(table_film), "--robot-poses", str(tmp_path / "poses.csv")]
     assert cli.main(words) == 2

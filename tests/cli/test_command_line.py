@@ -10,7 +10,6 @@ import sys
 
 import pytest
 
-from clothtrack.api.options import Garment, Mode
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.extras import install_command
@@ -72,23 +71,12 @@ def test_help_loads_no_stage():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
 
 
-@pytest.mark.parametrize("words", [["trak"], ["track", "folder"]])
-def test_wrong_usage_exits_with_2(words):
-    assert run(*words).returncode == 2
-
-
 def test_bad_input_is_one_line_on_standard_error(tmp_path):
     told = run("export", str(tmp_path / "nothing.zarr"), "--output", str(tmp_path / "out"))
     assert told.returncode == 1
     assert told.stdout == ""
     assert told.stderr.count("\n") == 1
     assert "nothing.zarr" in told.stderr
-
-
-def test_no_trajectories_cannot_be_simulated(tmp_path):
-    told = run("simulate", str(tmp_path / "out"), "--trajectories", "0")
-    assert told.returncode == 1
-    assert "trajectories is 0" in told.stderr
 
 
 def test_an_unusable_recording_is_inspected_with_exit_code_1(tmp_path, capsys):
@@ -140,18 +128,6 @@ def test_a_defect_of_ours_is_not_hidden(monkeypatch):
     monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
     with pytest.raises(ZeroDivisionError):
         cli.main(["fail"])
-
-
-def test_every_mode_of_the_tracker_is_offered():
-    from clothtrack.tracking.configuration import MODES
-
-    assert set(Mode.__args__) == set(MODES)
-
-
-def test_every_garment_of_the_networks_is_offered():
-    from clothtrack.garments.garment_meshes import ClothKind
-
-    assert Garment.__args__ == ClothKind.__args__
 
 
 WITHOUT_THE_EXTRA = """

@@ -73,9 +73,3 @@ def test_what_means_nothing_is_refused_in_one_line(tmp_path, capsys):
         assert said in error
         assert error.count("\n") == 1
     assert not list(tmp_path.glob("t.*"))
-
-
-def test_a_template_that_is_not_there_is_refused_by_track(tmp_path, capsys):
-    words = ["track", str(shipped_recording()), "--output", str(tmp_path / "out")]
-    assert cli.main([*words, "--template", str(tmp_path / "none.npz")]) == 1
-    assert "no such template file" in capsys.readouterr().err

@@ -146,22 +146,6 @@ def fetched(address, awaited):
     return page
 
 
-def test_evaluate_fits_in_80_columns_with_a_word_per_action(world, capsys):
-    words = ["evaluate", str(world / "tracked" / "lift.zarr")]
-    words += ["--recordings", str(world / "recordings"), "--truth", str(world / "truth")]
-    assert cli.main(words) == 0
-    head, row, *_ = lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80
-    assert head.split()[-1] == "verdict"
-    assert row.split()[:2] == ["lift", "1"]
-    assert row.split()[-1] in ("trust", "look", "reject")
-    assert cli.main([*words, "--all"]) == 0
-    assert "coverage" in capsys.readouterr().out
-    assert cli.main([*words, "--json"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)
-    assert found["verdicts"][0]["word"] == row.split()[-1]
-
-
 def test_a_name_in_a_result_leads_out_of_no_folder(world, tmp_path, capsys):
     tracked = TrackedTrajectory.load(world / "tracked" / "lift.zarr")
     replace(tracked, name="../../x").save(tmp_path / "lift.zarr")
@@ -204,14 +188,6 @@ def test_what_is_missing_is_said_in_one_line(world, monkeypatch, capsys, words, 
     shown = capsys.readouterr()
     assert told in shown.err
     assert shown.err.count("\n") == 1
-
-
-def test_a_sheet_is_exported(world, tmp_path, capsys):
-    words = ["export", str(world / "tracked" / "lift.zarr"), "--format", "sheet"]
-    words += ["--recordings", str(world / "recordings"), "--output", str(tmp_path / "s")]
-    assert cli.main([*words, "--rows", "2"]) == 0
-    assert capsys.readouterr().out.strip() == str(tmp_path / "s.png")
-    assert (tmp_path / "s.png").exists()
 
 
 # Whoever runs the tests in the background may have left Ctrl-C ignored.

@@ -137,25 +137,6 @@ def test_a_page_shows_the_mesh_while_it_is_tracked(world):
     assert re.match(r"live/towel_0001\.zarr\n  (trust|look|reject): ", words)
 
 
-def test_several_recordings_at_once_are_not_watched(world, capsys):
-    words = ["track", str(world / "recordings/towel_0001"), "--output", str(world / "two")]
-    assert cli.main([*words, "--live", "--workers", "2"]) == 1
-    assert "one recording after the other can be watched: --workers 1" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_pipe_gets_a_line_every_half_minute_at_most(world):
-    began_s = time.monotonic()
-    done = subprocess.run(
-        [*VERB.split(), "track", "recordings/towel_0001", "--output", "piped", "--set",
-         "search.method=none"],
-        cwd=world, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert re.fullmatch(r"piped/towel_0001\.zarr\n  (trust|look|reject): .*\n", done.stdout)
-    assert not set("\r\x1b") & set(done.stderr)
-    assert done.stderr.count("\n") <= (time.monotonic() - began_s) / 30.0
-
-
 @pytest.mark.slow
 def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     track = f"{VERB} track recordings/towel_0001 --output broken"

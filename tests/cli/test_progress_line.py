@@ -66,21 +66,6 @@ def test_a_terminal_has_one_line_that_is_rewritten(clock, terminal):
     assert states[11] == "\x1b[K"
 
 
-def test_a_terminal_is_not_rewritten_faster_than_one_reads(clock, terminal):
-    stream, shown = terminal
-    line = ProgressLine(stream, clock)
-    for done in range(1000):
-        clock.now = done / 1000.0
-        line("step", done, 1000)
-    assert 5 < shown().count("\r") < 12
-
-
-def test_a_long_line_does_not_wrap(clock, terminal):
-    stream, shown = terminal
-    ProgressLine(stream, clock)("a" * 500, 1, 2)
-    assert len(shown().removesuffix("\x1b[K").lstrip("\r")) == 79
-
-
 def test_a_pipe_has_sparse_lines_that_get_rarer(clock, log):
     stream, written = log
     line = ProgressLine(stream, clock)
@@ -103,28 +88,6 @@ def test_short_work_leaves_nothing_in_a_pipe(clock, log):
         line("step", done, 100)
     line.clear()
     assert not written()
-
-
-def test_what_was_done_before_does_not_count_for_the_time_left(clock, log):
-    """A training that goes on at step 900 has made none of them in this run."""
-    stream, written = log
-    line = ProgressLine(stream, clock)
-    line("step 900", 900, 1000)
-    clock.now = 40.0
-    line("step 920", 920, 1000)
-    assert "160 s left" not in written()
-    assert " 92 %   3 min left  step 920" in written()
-
-
-def test_another_stage_is_estimated_anew(clock, log):
-    stream, written = log
-    line = ProgressLine(stream, clock)
-    line("first", 0, 10)
-    clock.now = 29.0
-    line("first", 10, 10)
-    clock.now = 100.0
-    line("second", 1, 50)
-    assert written() == "  2 %               second\n"
 
 
 def test_a_thing_among_several_is_told_as_a_part_of_all():

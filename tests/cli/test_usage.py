@@ -9,10 +9,8 @@ import re
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.cli.signature import options_of
-from clothtrack.cli.terminal import complain, say
+from clothtrack.cli.terminal import say
 from clothtrack.cli.warnings_once import logged
-from clothtrack.files.settings import settings_of
 from clothtrack.version import __version__
 
 VERBS = {name: load() for name, load in cli.VERBS.items()}
@@ -61,26 +59,11 @@ def test_wrong_usage_is_one_line(words, told, capsys):
     assert told in shown.err
 
 
-def test_a_complaint_about_a_line_break_is_one_line(capsys):
-    assert cli.main(["calibrate-camera", "a\nb\x1b[2J"]) == 1
-    shown = capsys.readouterr()
-    assert shown.err.count("\n") == 1
-    assert r"a\nb\x1b[2J" in shown.err
-
-
 def test_what_a_terminal_cannot_show_is_escaped(monkeypatch):
     shown = io.BytesIO()
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, encoding="ascii"))
     say("Zürich \ud800")
     assert shown.getvalue() == rb"Z\xfcrich \ud800" + b"\n"
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_the_options_that_are_compared_are_those_that_help_lists(verb, capsys):
-    text = helped(verb, capsys)
-    rows = re.findall(r"^(?:│ |  )(-.*?)(?:  |$)", text, re.MULTILINE)
-    listed = {one for row in rows for one in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", row)}
-    assert listed == options_of(VERBS[verb])
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -90,35 +73,6 @@ def test_help_says_nothing_empty(verb, capsys):
         assert empty not in text
     assert "--verbose" in text
     assert "--json" in text
-
-
-def setting_names(verb):
-    """Settings that a verb takes with --set, by the groups that it knows."""
-    from clothtrack.planning import FlattenConfig
-    from clothtrack.reconstruction import LearningConfig
-    from clothtrack.tracking import RunConfig
-    from clothtrack_lab.world import EpisodeConfig
-
-    known = {
-        "flatten": [FlattenConfig()],
-        "track": [RunConfig()],
-        "live": [RunConfig()],
-        "live-ros2": [RunConfig()],
-        "simulate": [EpisodeConfig()],
-        "pretrain": [LearningConfig.preset("pretrain")],
-        "finetune": [LearningConfig.preset("finetune")],
-    }
-    return {setting.name for config in known[verb] for setting in settings_of(config)}
-
-
-@pytest.mark.parametrize("verb", [name for name in VERBS if "--set" in options_of(VERBS[name])])
-def test_the_example_of_a_setting_is_one_of_its_verb(verb, capsys):
-    pytest.importorskip("torch")
-    text = re.sub(r"[│\s]+", " ", helped(verb, capsys))
-    about = text.partition("--set NAME=VALUE")[2].partition(" --")[0]
-    examples = re.findall(r"([a-z][\w.]*)=", about)
-    assert examples
-    assert setting_names(verb).issuperset(examples)
 
 
 def test_the_version_comes_with_commit_devices_and_packages(capsys):
@@ -161,16 +115,3 @@ def test_one_cause_is_one_warning_and_a_count(capsys):
         "WARNING frame 3 of towel_0002: no cloud (color/0003.png: no blue)",
         "26 more like this: WARNING frame 0 of towel_0001: no cloud (color/0000.png: no blue)",
     ]
-
-
-def test_a_very_long_choice_is_not_repeated_whole(capsys):
-    assert cli.main(["label", "x", "--garment", "9" * 3000, "--recordings", "y"]) == 2
-    assert len(capsys.readouterr().err) < 500
-
-
-def test_of_a_very_long_value_the_ends_are_shown(capsys):
-    complain(f"picker.csv: closed is {'9' * 5000}; write 0 or 1")
-    told = capsys.readouterr().err
-    assert len(told) < 250
-    assert told.startswith("clothtrack: picker.csv: closed is 999")
-    assert told.endswith("999; write 0 or 1\n")

@@ -1,7 +1,12 @@
 """A tiny towel, filmed through the command line, once for all tests of this folder."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -33,17 +38,47 @@ def towels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return world
 
 
+# As the process that a terminal starts, whatever the shell above the tests has set.
+MAIN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from clothtrack.cli.command_line import main
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+
+
 @pytest.fixture
-def clothtrack():
-    """Runs the command line in a process of its own."""
+def start(tmp_path):
+    """Start the command line in a session of its own; nothing of it is left after the test."""
+    processes = []
 
-    def run(*words: object, before: str = "") -> subprocess.CompletedProcess[str]:
-        code = (
-            f"import sys\n{before}\nfrom clothtrack.cli.command_line import main\nsys.exit(main())"
-        )
-        return subprocess.run(
-            [sys.executable, "-c", code, *map(str, words)],
-            capture_output=True, text=True, check=False, timeout=300,
+    def started(*words: object, before: str = "") -> subprocess.Popen[str]:
+        # A file, which workers read as well.
+        (tmp_path / "program.py").write_text(before + MAIN)
+        process = subprocess.Popen(
+            [sys.executable, *map(str, (tmp_path / "program.py", *words))],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
+        processes.append(process)
+        return process
 
-    return run
+    yield started
+    for process in processes:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+@pytest.fixture
+def wait_until():
+    """Wait until something is true while a process runs."""
+
+    def wait(is_true: Callable[[], object], process: subprocess.Popen[str]) -> None:
+        end = time.monotonic() + 240
+        while not is_true():
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < end
+            time.sleep(0.005)
+
+    return wait

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings import RecordingWriter, Table, read_recording, shipped_recording
+from clothtrack.recordings import read_recording, shipped_recording
 
 
 def document(folder, change):
@@ -159,35 +159,6 @@ def test_track_says_it_in_one_line_and_leaves_nothing(broken, tmp_path, capsys):
     assert list(out.iterdir()) == []
 
 
-def test_inspect_names_it_too(broken, capsys):
-    folder, words = broken
-    assert cli.main(["inspect", str(folder)]) == 1
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    for word in words:
-        assert word in shown.out
-
-
-def test_a_process_of_its_own_shows_no_traceback(towels, clothtrack, tmp_path):
-    folder = tmp_path / "broken"
-    shutil.copytree(towels / "recordings" / "towel_0001", folder)
-    truncated_picture(folder)
-    told = clothtrack("track", folder, "--output", tmp_path / "out")
-    assert told.returncode == 1
-    assert told.stderr.count("\n") == 1
-    assert "breaks off" in told.stderr
-
-
-def test_a_bad_recording_does_not_stop_the_good_ones(towels, tmp_path, capsys):
-    bad, good = tmp_path / "bad", towels / "recordings" / "towel_0002"
-    shutil.copytree(towels / "recordings" / "towel_0001", bad)
-    missing_picture(bad)
-    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
-    assert cli.main(["track", str(bad), str(good), *words]) == 1
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"towel_0002.zarr"}
-    assert str(bad) in capsys.readouterr().err
-
-
 def test_a_frame_without_cloth_in_the_middle_is_named(towels, tmp_path, capsys):
     folder = tmp_path / "broken"
     shutil.copytree(towels / "recordings" / "towel_0001", folder)
@@ -241,17 +212,6 @@ def test_a_pause_in_which_nothing_holds_the_cloth_is_cut(towels, tmp_path):
     set_forward(source, tmp_path / "pause", last, 86400.0)
     words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
     assert cli.main(["track", str(tmp_path / "pause"), *words]) == 0
-
-
-def test_a_recording_without_cloth_at_its_start(tmp_path, towels, capsys):
-    camera = read_recording(towels / "recordings" / "towel_0001").cameras[0]
-    table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    with RecordingWriter(tmp_path / "bare", [camera], {camera.name: 0.001}, table=table) as film:
-        for index in range(2):
-            depth = np.full((camera.height, camera.width), camera.position[2])
-            film.add_frame(0.1 * index, depth={camera.name: depth})
-    assert cli.main(["track", str(tmp_path / "bare"), "--output", str(tmp_path / "out")]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_recording_after_which_no_result_can_be_named(tmp_path, capsys):

@@ -2,14 +2,12 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.files import with_settings
-from clothtrack.tracking import RunConfig, TrackedTrajectory, track_recordings
+from clothtrack.tracking import TrackedTrajectory
 
 # What is tracked does not matter here: long substeps and few iterations.
 FAST = (
@@ -79,16 +77,6 @@ def test_a_recording_that_became_unreadable_leaves_its_result(tracked, capsys):
     TrackedTrajectory.load(result)
 
 
-def test_another_recording_of_the_same_name_is_tracked(towels, tracked):
-    recording = tracked / "recordings" / "towel"
-    shutil.rmtree(recording)
-    shutil.copytree(towels / "recordings" / "towel_0002", recording)
-    config = with_settings(RunConfig(), FAST[1::2])
-    (outcome,) = track_recordings([recording], tracked / "tracked", config)
-    assert outcome.tracked_again
-    assert not outcome.skipped
-
-
 @pytest.mark.parametrize(
     ("verb", "more"),
     [
@@ -115,19 +103,6 @@ def test_a_result_that_is_older_than_its_recording_is_told(
     assert "tracked/towel.zarr is older than its recording " in line
     assert "recordings/towel (" in line
     assert "\n" not in line
-
-
-def test_a_result_is_not_judged_by_another_recording(tracked, monkeypatch, capsys):
-    monkeypatch.chdir(tracked)
-    shutil.copytree("recordings/towel", "recordings/other")
-    document = json.loads(Path("recordings/other/recording.json").read_text())
-    document["cloth"]["grasp_uncertainty_m"] = 0.01
-    Path("recordings/other/recording.json").write_text(json.dumps(document))
-    words = ["tracked/towel.zarr", "--recordings", "recordings/other"]
-    assert cli.main(["label", *words, "--output", "none"]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "is recording other, and tracked/towel.zarr was tracked from towel" in line
-    assert not list(Path("none").glob("*.npz"))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import json
 import shutil
 
-import numpy as np
 import pytest
 
 import clothtrack as ct
@@ -59,17 +58,6 @@ def test_it_goes_on_when_told_to_and_is_rejected_in_the_end(recordings, tmp_path
     assert helps.startswith("  what helps: clothtrack ")
     assert line == str(tmp_path / "out" / "wrong.zarr")
     assert verdict.startswith("  reject: expected error ")
-
-
-def test_the_function_stops_as_the_verb_does(recordings):
-    wrong, right = recordings
-    fast = ("search.method=none",)
-    with pytest.raises(InvalidRecordingError, match="from the cloud of frame 0"):
-        ct.track(wrong, settings=fast)
-    run = ct.track(right, settings=fast)
-    worst = max(label.expected_error_mm for label in run.labels)
-    assert run.verdict.expected_error_m == pytest.approx(1e-3 * worst)
-    assert np.isfinite(worst)
 
 
 def test_times_in_milliseconds_are_refused_before_a_minute_per_frame_is_simulated(recordings):

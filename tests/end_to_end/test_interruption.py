@@ -4,10 +4,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
-import time
-from contextlib import contextmanager, suppress
 
 import pytest
 
@@ -19,14 +15,6 @@ FAST = (
     "--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3",
     "--set", "objective.iterations=20",
 )  # fmt: skip
-# As the process that a terminal starts, whatever the shell above the tests has set.
-MAIN = (
-    "import signal, sys\n"
-    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    "from clothtrack.cli.command_line import main\n"
-    "if __name__ == '__main__':\n"
-    "    sys.exit(main())\n"
-)
 
 
 @pytest.fixture
@@ -38,51 +26,22 @@ def many(towels, tmp_path):
     return folders
 
 
-@contextmanager
-def started(tmp_path, *words):
-    """The command line in a session of its own; nothing of it is left after the block."""
-    program = tmp_path / "program.py"
-    program.write_text(MAIN)
-    with subprocess.Popen(
-        [sys.executable, str(program), *map(str, words)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    ) as process:  # fmt: skip
-        try:
-            yield process
-        finally:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-
-
 def complaints(written):
     """Lines on standard error but those of progress, which come where a machine is slow."""
     lines = written.splitlines()
     return [line for line in lines if not re.match(r" *\d+ %  |.*: first mesh$", line)]
 
 
-def leftovers(out):
-    """What is half-written, and the lock."""
-    return list(out.glob(".*"))
-
-
-def wait_for(path, process):
-    end = time.monotonic() + 240
-    while not path.exists():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_ctrl_c_in_the_middle(many, tmp_path, workers):
+def test_ctrl_c_in_the_middle(start, wait_until, many, tmp_path, workers):
     out = tmp_path / "out"
     first = out / "towel_a.zarr"
-    with started(tmp_path, "track", *many, "--output", out, *FAST, "--workers", workers) as process:
-        wait_for(first, process)
-        # A terminal sends it to the whole group, workers included.
-        os.killpg(process.pid, signal.SIGINT)
-        told, complained = process.communicate(timeout=60)
+    process = start("track", *many, "--output", out, *FAST, "--workers", workers)
+    wait_until(first.exists, process)
+    # A terminal sends it to the whole group, workers included.
+    os.killpg(process.pid, signal.SIGINT)
+    told, complained = process.communicate(timeout=60)
     # Shells tell this as 130, and end their loops.
     assert process.returncode == -signal.SIGINT, complained
     assert told == ""
@@ -99,56 +58,35 @@ def test_ctrl_c_in_the_middle(many, tmp_path, workers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -signal.SIGKILL)]
-)
-def test_no_worker_outlives_a_run_that_is_ended(many, tmp_path, number, code):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_no_worker_outlives_a_run_that_is_ended(start, wait_until, many, tmp_path, number):
     out = tmp_path / "out"
-    with started(tmp_path, "track", *many, "--output", out, *FAST, "--workers", 2) as process:
-        wait_for(out / "towel_a.zarr", process)
-        # Schedulers and containers tell one process, and the workers are not that one.
-        process.send_signal(number)
-        # The pipes end when the last process that holds them does.
-        told, complained = process.communicate(timeout=20)
-    assert process.returncode == code, complained
+    process = start("track", *many, "--output", out, *FAST, "--workers", 2)
+    wait_until((out / "towel_a.zarr").exists, process)
+    # Schedulers and containers tell one process, and the workers are not that one.
+    process.send_signal(number)
+    # The pipes end when the last process that holds them does.
+    told, complained = process.communicate(timeout=20)
+    assert process.returncode == (143 if number == signal.SIGTERM else -number), complained
     assert told == ""
     if number == signal.SIGTERM:
         assert len(complaints(complained)) == 1, complained
         assert "interrupted" in complained
-        assert not leftovers(out)
+        assert not list(out.glob(".*")), "what is half-written, or the lock"
     for path in out.glob("*.zarr"):
         assert len(TrackedTrajectory.load(path).actions) == 1
-
-
-@pytest.mark.slow
-def test_sigterm_ends_a_run_without_workers(many, tmp_path):
-    out = tmp_path / "out"
-    with started(tmp_path, "track", *many, "--output", out, *FAST) as process:
-        wait_for(out / "towel_a.zarr", process)
-        # As `timeout` does: once to the process, once to its group.
-        process.send_signal(signal.SIGTERM)
-        os.killpg(process.pid, signal.SIGTERM)
-        _, complained = process.communicate(timeout=20)
-    assert process.returncode == 143, complained
-    assert len(complaints(complained)) == 1, complained
-    assert not leftovers(out)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)]
 )
-def test_filming_in_workers_ends_without_a_trace(tmp_path, number, code):
+def test_filming_in_workers_ends_without_a_trace(start, wait_until, tmp_path, number, code):
     out = tmp_path / "out"
-    words = ("simulate", out, "--trajectories", 4, "--workers", 2)
-    with started(tmp_path, *words) as process:
-        end = time.monotonic() + 120
-        while len(list(out.glob("recordings/.*"))) < 2:
-            assert process.poll() is None, process.communicate()
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        os.killpg(process.pid, number)
-        told, complained = process.communicate(timeout=30)
+    process = start("simulate", out, "--trajectories", 4, "--workers", 2)
+    wait_until(lambda: len(list(out.glob("recordings/.*"))) >= 2, process)
+    os.killpg(process.pid, number)
+    told, complained = process.communicate(timeout=30)
     assert process.returncode == code, complained
     assert told == ""
     assert len(complaints(complained)) == 1, complained
@@ -173,7 +111,7 @@ def test_the_same_command_goes_on_from_there(many, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_full_disk(many, tmp_path, clothtrack):
+def test_a_full_disk(start, many, tmp_path):
     """No file may grow beyond a kilobyte: the system refuses the write as a full disk does."""
     out = tmp_path / "out"
     assert cli.main(["track", str(many[0]), "--output", str(out), *FAST]) == 0
@@ -185,11 +123,12 @@ def test_a_full_disk(many, tmp_path, clothtrack):
         "    write(*arguments)\n"
         "stored._write = on_a_full_disk\n"
     )
-    told = clothtrack("track", many[0], many[1], "--output", out, *FAST, before=full)
-    assert told.returncode == 1, told.stderr
-    assert "finished before" in told.stdout
-    lines = complaints(told.stderr)
-    assert len(lines) == 1, told.stderr
+    process = start("track", many[0], many[1], "--output", out, *FAST, before=full)
+    told, complained = process.communicate(timeout=300)
+    assert process.returncode == 1, complained
+    assert "finished before" in told
+    lines = complaints(complained)
+    assert len(lines) == 1, complained
     for word in ("towel_b.zarr", "some space", "run the same command again"):
         assert word in lines[0]
     assert sorted(path.name for path in out.iterdir()) == ["towel_a.zarr"]

@@ -2,13 +2,7 @@
 
 import hashlib
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
-from contextlib import suppress
 
 import pytest
 
@@ -18,44 +12,14 @@ pytestmark = pytest.mark.slow
 
 FAST = ("--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3")
 TINY = (
-    "size_m=[0.2, 0.2]",
-    "vertex_count=120",
-    "template.vertex_count=100",
-    "sensor.width=80",
-    "sensor.height=60",
-    "sensor.focal=75",
-    "actions=1",
-)
+    "size_m=[0.2, 0.2]", "vertex_count=120", "template.vertex_count=100", "sensor.width=80",
+    "sensor.height=60", "sensor.focal=75", "actions=1",
+)  # fmt: skip
 SMALL = tuple(word for setting in TINY for word in ("--set", setting))
 STATES = (
     "--states", "12", "--set", "vertex_count=120", "--set", "episodes=2",
     "--set", "crumpling.states=2", "--set", "crumpling.rest_limit_s=0.2",
 )  # fmt: skip
-
-
-@pytest.fixture
-def start(tmp_path):
-    """Starts command lines that end with the test."""
-    processes = []
-
-    def started(*words, code=""):
-        program = ["-m", "clothtrack.cli"]
-        if code:
-            # A file, which workers read as well.
-            (tmp_path / "program.py").write_text(code)
-            program = [tmp_path / "program.py"]
-        process = subprocess.Popen(
-            [sys.executable, *map(str, (*program, *words))],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-        processes.append(process)
-        return process
-
-    yield started
-    for process in processes:
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
 
 
 def ended_well(*processes):
@@ -95,7 +59,9 @@ def test_two_workers_make_what_one_makes(start, tmp_path, words, pattern):
         assert len(json.loads((together / "states.json").read_text())["shards"]) == 3
 
 
-def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(start, towels, tmp_path, capsys):
+def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(
+    start, wait_until, towels, tmp_path, capsys
+):
     """Then labels and measures by two workers; they are kept; and what a bad recording does."""
     folders = [tmp_path / "recordings" / f"towel_{letter}" for letter in "abcd"]
     for folder in folders:
@@ -103,11 +69,7 @@ def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(start, towels, tmp
     out, alone = tmp_path / "out", tmp_path / "alone"
     words = ("track", *folders, *FAST, "--output")
     killed = start(*words, out, "--workers", 2)
-    end = time.monotonic() + 240
-    while not list(out.glob("*.zarr")):
-        assert killed.poll() is None, killed.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    wait_until(lambda: list(out.glob("*.zarr")), killed)
     killed.kill()
     killed.communicate()
     finished = {path: path.stat().st_mtime_ns for path in out.glob("*.zarr/zarr.json")}
@@ -148,36 +110,5 @@ def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(start, towels, tmp
     assert str(folders[0]) in said.err
 
 
-SMALL_ROBOT = """
-import sys
-from clothtrack_lab.world import SMALL_WORLD
-from clothtrack_lab.world import simulated_episodes as episodes
-robot = episodes.SimulatedRobot
-small = episodes.SimulatedRobotConfig(episode=SMALL_WORLD)
-episodes.SimulatedRobot = lambda kind, seed, _, garment: robot(kind, seed, small, garment)
-from clothtrack.cli.command_line import main
-if __name__ == "__main__":
-    sys.exit(main())
-"""
-
-
 def files_of(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
-
-
-def test_two_workers_flatten_what_one_flattens(start, tmp_path):
-    words = ("--policy", "heuristic", "--actions", "1", "--episodes", "2")
-    together, alone = tmp_path / "together", tmp_path / "alone"
-    ended_well(start("flatten", together, *words, "--workers", 2, code=SMALL_ROBOT))
-    ended_well(start("flatten", alone, *words, code=SMALL_ROBOT))
-    for pattern in ("recordings/**/*", "truth/*", "worlds/**/*", "starts/**/*"):
-        assert bits(together, pattern) == bits(alone, pattern)
-    for folder in sorted((alone / "episodes").iterdir()):
-        first, second = (
-            [row["true_m2"] for row in json.loads((out / "episode.json").read_text())["steps"]]
-            for out in (folder, together / "episodes" / folder.name)
-        )
-        assert len(first) == 2
-        assert first == second
-    assert len(list(together.glob("*.html"))) == 2
-    no_litter(together)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_evidence import EVIDENCE_NAMES, LabelEvidence
 from clothtrack.evaluation.label_quality import (
     SCALES,
@@ -60,59 +60,16 @@ def test_what_looks_worse_is_never_expected_to_be_better(model, name):
             assert model.expected_error_m(worse) > model.expected_error_m(one)
 
 
-def test_unknown_evidence_makes_an_unknown_error_only_where_it_counts():
-    (one,) = some_evidence(1)
-    assert math.isnan(PLANTED.expected_error_m(replace(one, cloud_gap_m=math.nan)))
-    same = replace(one, mesh_gap_m=math.nan)
-    assert PLANTED.expected_error_m(same) == PLANTED.expected_error_m(one)
-    evidence = [*some_evidence(50), replace(one, cloud_gap_m=math.nan)]
-    errors = np.linspace(0.002, 0.02, 51)
-    assert fit_quality(evidence, errors).weights == fit_quality(evidence[:-1], errors[:-1]).weights
-
-
-def test_a_model_is_read_as_it_was_written(tmp_path):
-    model = replace(PLANTED, provenance={"split": "dev", "labels": 60})
-    model.save(tmp_path / "model.json")
-    assert QualityModel.load(tmp_path / "model.json") == model
-    assert [file.name for file in tmp_path.iterdir()] == ["model.json"]
-
-
-def test_the_shipped_model_says_where_it_comes_from():
-    model = shipped_model()
-    assert model.provenance["split"] == "dev"
-    assert model.provenance["labels"] >= 30
-    assert model.provenance["commits"]
-    assert sum(weight > 0 for weight in model.weights.values()) >= 3
-
-
-def test_another_file_is_no_model(tmp_path):
+def test_a_model_is_read_as_it_was_written_and_another_file_is_no_model(tmp_path):
     file = tmp_path / "model.json"
     with pytest.raises(InvalidResultError, match="--fit"):
         QualityModel.load(file)
-    PLANTED.save(file)
+    model = replace(PLANTED, provenance={"split": "dev", "labels": 60})
+    model.save(file)
+    assert QualityModel.load(file) == model
     document = json.loads(file.read_text())
-    file.write_text(json.dumps(document | {"version": 99}))
-    with pytest.raises(InvalidResultError, match="99"):
-        QualityModel.load(file)
-    with pytest.raises(StorageError, match="in the way"):
-        PLANTED.save(file / "model.json")
-
-
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({"weights": {"action": -0.1}}, "weights.action is -0.1"),
-        ({"weights": {"beauty": 0.1}}, "beauty"),
-        ({"log_error": math.nan}, "log_error"),
-    ],
-)
-def test_a_model_that_is_not_monotone_is_refused(changes, word):
-    with pytest.raises(InvalidConfigError, match=word):
-        replace(PLANTED, **changes)
-
-
-def test_a_fit_needs_labels_with_errors():
-    with pytest.raises(InvalidConfigError, match="2 labels"):
-        fit_quality(some_evidence(2), np.array([0.01, 0.02]))
-    with pytest.raises(InvalidConfigError, match="positive"):
-        fit_quality(some_evidence(3), np.array([0.01, 0.02, 0.0]))
+    for changes, told in (({"version": 99}, "99"), ({"weights": {"action": -0.1}}, "action"),
+                          ({"weights": {"beauty": 0.1}}, "beauty")):  # fmt: skip
+        file.write_text(json.dumps(document | changes))
+        with pytest.raises((InvalidResultError, InvalidConfigError), match=told):
+            QualityModel.load(file)

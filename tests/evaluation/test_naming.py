@@ -5,7 +5,7 @@ import pytest
 
 from clothtrack.evaluation.naming import true_places
 from clothtrack.evaluation.truth import Truth, material_points
-from clothtrack.garments.garment_meshes import garment, towel
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedTrajectory
 
@@ -77,19 +77,3 @@ def test_cloth_that_went_wrong_later_stays_wrong():
     tracked = run(OBLONG, rename=lambda c: c, source="flat")
     tracked.positions[1] = tracked.positions[1] * HALF_TURN
     assert worst_mm(tracked, known(OBLONG)) > 50.0
-
-
-def test_a_shirt_keeps_its_front_and_its_back():
-    mesh = garment("tshirt", vertex_count=300)
-    flat = np.asarray(mesh.vertices, float)
-    truth = Truth(flat[None], mesh.faces, np.arange(1), mesh.canonical)
-    over = ClothMesh(flat, mesh.faces, np.asarray(mesh.canonical) * [-1.0, 1.0, -1.0])
-    tracked = trajectory(over, flat[None], "flat")
-    points = material_points(flat, truth.faces, true_places(tracked, truth))
-    assert np.median(np.linalg.norm(points - flat, axis=1)) > 0.05
-
-
-def test_nothing_is_known_without_canonical_coordinates():
-    truth = known(OBLONG)
-    bare = Truth(truth.positions, truth.faces, truth.frames)
-    assert true_places(run(OBLONG, rename=lambda c: c, source="flat"), bare) is None

@@ -1,7 +1,6 @@
 import errno
 import os
 import shutil
-import subprocess
 
 import pytest
 
@@ -9,7 +8,6 @@ from clothtrack.errors import StorageError
 from clothtrack.files.atomic_write import (
     atomic_file,
     atomic_folder,
-    clear_dead,
     clear_leftovers,
     hidden_name,
     name_problem,
@@ -30,23 +28,6 @@ def test_nothing_appears_when_the_writer_fails(opened, tmp_path):
     with pytest.raises(RuntimeError):
         _break_off(opened, tmp_path / "result")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_was_there_stays_when_the_writer_fails(tmp_path):
-    path = tmp_path / "page.html"
-    path.write_text("yesterday")
-    with pytest.raises(RuntimeError):
-        _break_off(atomic_file, path)
-    assert path.read_text() == "yesterday"
-
-
-def test_a_finished_file_replaces_the_one_before(tmp_path):
-    path = tmp_path / "deep" / "page.html"
-    for words in ("yesterday", "today"):
-        with atomic_file(path) as temporary:
-            temporary.write_text(words)
-    assert path.read_text() == "today"
-    assert [found.name for found in path.parent.iterdir()] == ["page.html"]
 
 
 @pytest.mark.parametrize("opened", [atomic_file, atomic_folder])
@@ -85,32 +66,6 @@ def test_the_folder_before_stays_when_the_new_one_cannot_take_its_place(tmp_path
         (temporary / "today").touch()
     assert [found.name for found in path.iterdir()] == ["yesterday"]
     assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
-
-
-def test_no_folder_is_half_removed_under_its_name(tmp_path, monkeypatch):
-    path = tmp_path / "states.zarr"
-    removed = []
-    remove = shutil.rmtree
-
-    def watched(folder, **options):
-        removed.append(folder)
-        remove(folder, **options)
-
-    monkeypatch.setattr(shutil, "rmtree", watched)
-    for words in ("yesterday", "today"):
-        with atomic_folder(path, replace=True) as temporary:
-            (temporary / words).touch()
-    assert all(folder.name.startswith(".") for folder in removed)
-
-
-def test_a_file_gives_way_to_no_folder(tmp_path):
-    (tmp_path / "states.zarr").write_text("mine")
-    with (
-        pytest.raises(StorageError, match="a file is where a folder belongs"),
-        atomic_folder(tmp_path / "states.zarr", replace=True),
-    ):
-        pass
-    assert (tmp_path / "states.zarr").read_text() == "mine"
 
 
 def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
@@ -176,53 +131,37 @@ def test_what_is_wrong_with_another_name_is_said(name, told):
     assert told in name_problem(name)
 
 
-def left_by(pid, path, suffix="", host=None):
+def left_by_a_killed_writer(path, suffix=""):
     """A hidden folder as a process leaves it when it is killed while it writes to a path."""
-    name = hidden_name(path.name).replace(f"-{os.getpid()}-", f"-{pid}-") + suffix
-    _, mark, rest = name.partition(f"{path.name}.")
-    left = path.with_name("." + mark + (rest if host is None else host + rest[8:]))
+    left = path.with_name(hidden_name(path.name) + suffix)
     left.mkdir()
     (left / "big").touch()
     return left
 
 
-@pytest.fixture
-def dead():
-    with subprocess.Popen(["true"]) as process:
-        process.wait()
-    return process.pid
-
-
-def test_what_dead_processes_leave_is_removed_and_nothing_of_a_living_one(tmp_path, dead):
-    path = tmp_path / "towel"
-    alive, neighbor = left_by(os.getpid(), path), left_by(dead, tmp_path / "towel.b")
-    far = left_by(os.getpid(), path, host="00000000")
-    (tmp_path / ".towel.mine").touch()
-    gone = left_by(dead, path)
-    clear_leftovers([path])
-    assert not gone.exists()
-    assert not far.exists(), "who holds the lock removes what other machines have left"
-    assert neighbor.exists()
-    far = left_by(1, path, host="00000000")
-    clear_dead(tmp_path)
-    assert {one.name for one in tmp_path.iterdir()} == {alive.name, far.name, ".towel.mine"}
-
-
-def test_a_folder_that_was_being_replaced_gets_its_name_back(tmp_path, dead):
+def test_who_writes_a_folder_removes_what_a_killed_writer_of_it_has_left(tmp_path):
     path = tmp_path / "towel.zarr"
-    left_by(dead, path, suffix=".old")
+    left_by_a_killed_writer(path)
+    neighbor = left_by_a_killed_writer(tmp_path / "towel.b.zarr")
+    (tmp_path / ".towel.zarr.mine").touch()
+    with atomic_folder(path):
+        pass
+    assert {one.name for one in tmp_path.iterdir()} == {
+        path.name,
+        neighbor.name,
+        ".towel.zarr.mine",
+    }
+
+
+def test_unfinished_files_are_removed_by_who_holds_the_lock(tmp_path):
+    (tmp_path / hidden_name("towel", ".mp4")).touch()
+    clear_leftovers([tmp_path / "towel", tmp_path / "towel.mp4"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_was_being_replaced_gets_its_name_back(tmp_path):
+    path = tmp_path / "towel.zarr"
+    left_by_a_killed_writer(path, suffix=".old")
     clear_leftovers([path])
     assert [one.name for one in tmp_path.iterdir()] == ["towel.zarr"]
     assert (path / "big").exists()
-
-
-@pytest.mark.parametrize("opened", [atomic_file, atomic_folder])
-def test_who_writes_into_a_folder_first_removes_what_dead_processes_left_there(
-    opened, tmp_path, dead
-):  # fmt: skip
-    """Verbs with one result have no list of work that would do so."""
-    left_by(dead, tmp_path / "sheet.png")
-    alive = left_by(os.getpid(), tmp_path / "sheet.png")
-    with opened(tmp_path / "new"):
-        pass
-    assert {path.name for path in tmp_path.iterdir()} == {"new", alive.name}

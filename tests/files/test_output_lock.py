@@ -58,15 +58,6 @@ def test_another_process_is_refused_until_the_first_one_dies(other, tmp_path):
     assert [path.name for path in out.iterdir()] == ["held"]
 
 
-def test_a_lock_file_that_says_nothing_is_no_harm(other, tmp_path):
-    (tmp_path / "out" / LOCK_FILE).write_text("\xff")
-    with (
-        pytest.raises(InvalidConfigError, match="another run writes here; wait"),
-        locked_output(tmp_path / "out"),
-    ):
-        pass
-
-
 def test_a_place_that_cannot_be_locked_is_named(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(StorageError, match="in the way"), locked_output(tmp_path / "file"):

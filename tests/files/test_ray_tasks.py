@@ -11,11 +11,10 @@ import time
 from contextlib import closing, suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.errors import ClothTrackError, SimulationDivergedError
+from clothtrack.errors import ClothTrackError
 from clothtrack.files.output_lock import LOCK_FILE
 from clothtrack.files.worker_pool import finished_in_workers
 
@@ -45,19 +44,6 @@ def _one_ray():
     sys.modules["ray"].shutdown()
 
 
-def square(number: int) -> np.ndarray:
-    time.sleep(0.01 * (number % 3))
-    return np.full(3, number) ** 2
-
-
-def test_the_results_are_those_of_worker_processes():
-    numbers = list(range(12))
-    by_ray = run(square, numbers)
-    by_pool = list(finished_in_workers(square, numbers, 2))
-    assert sorted(map(str, by_ray)) == sorted(map(str, by_pool))
-    assert run(square, []) == []
-
-
 def touch_or_die(told: Path) -> str:
     """A deadly item kills its worker each time, a heavy one the first time only."""
     with (told.parent / f"{told.name}_tries").open("a") as file:
@@ -77,17 +63,6 @@ def test_an_item_whose_worker_is_killed_once_is_tried_again(tmp_path):
 def test_an_item_whose_workers_are_killed_is_named(tmp_path):
     with pytest.raises(ClothTrackError, match=r"deadly.*Ray gave it up.*same command again"):
         run(touch_or_die, [tmp_path / "deadly"])
-
-
-def fail(number: int) -> int:
-    raise SimulationDivergedError(f"number {number} diverges")
-
-
-def test_errors_come_as_from_here():
-    with pytest.raises(SimulationDivergedError) as failed:
-        run(fail, [3])
-    assert type(failed.value) is SimulationDivergedError
-    assert str(failed.value) == "number 3 diverges"
 
 
 def touch_and_wait(told: Path) -> str:

@@ -25,10 +25,6 @@ class Outer:
     parameters: Mapping[str, float] = field(default_factory=lambda: {"friction": 0.5})
 
 
-def test_no_setting_changes_nothing():
-    assert with_settings(Outer(), []) == Outer()
-
-
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
@@ -43,10 +39,6 @@ def test_no_setting_changes_nothing():
 )
 def test_one_setting_changes_one_value(setting, expected):
     assert with_settings(Outer(), [setting]) == expected
-
-
-def test_later_settings_win():
-    assert with_settings(Outer(), ["inner.count=1", "inner.count=2"]).inner.count == 2
 
 
 @pytest.mark.parametrize(
@@ -111,11 +103,6 @@ def test_what_json_cannot_read_is_a_text(text):
     assert len(str(refused.value)) < 300
 
 
-def test_a_refusal_does_not_list_a_whole_group():
-    with pytest.raises(InvalidConfigError, match=r'inner: "x" cannot replace Inner, which is a'):
-        with_settings(Outer(), ["inner=x"])
-
-
 def test_a_limit_is_told_of_the_setting_as_it_was_written():
     @dataclass(frozen=True)
     class PieceRanges(Checked):
@@ -133,14 +120,3 @@ def test_a_limit_is_told_of_the_setting_as_it_was_written():
         InvalidConfigError, match=r"^whole\.part\.size_m is -1\.0; it must be above"
     ):
         with_settings(Settings(), ["whole.part.size_m=-1"])
-
-
-def test_a_tuple_of_groups_is_no_setting():
-    @dataclass(frozen=True)
-    class Sensors:
-        kinds: tuple[Inner, ...] = (Inner(), Inner())
-        share: float = 0.5
-
-    assert [one.name for one in settings_of(Sensors())] == ["share"]
-    with pytest.raises(InvalidConfigError, match="cannot replace tuple, which is a group"):
-        with_settings(Sensors(), ["kinds=[1, 2]"])

@@ -11,16 +11,9 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
-from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.files.worker_pool import finished_in_workers
 
 LONG_S = 120.0
-
-
-@pytest.mark.parametrize("number", [0, -1])
-def test_no_workers_are_refused(number):
-    with pytest.raises(InvalidConfigError, match=f"workers is {number}"):
-        require_workers(number)
 
 
 @pytest.mark.parametrize("more", [[], ["--benchmark", "all"]])
@@ -48,12 +41,6 @@ def test_closed_results_end_their_workers(tmp_path):
     assert time.monotonic() - begin < 0.5 * LONG_S
 
 
-def test_the_results_of_workers_come_as_they_are_finished(tmp_path):
-    items = [tmp_path / str(number) for number in range(5)]
-    assert list(finished_in_workers(Path.touch, items, 2)) == [None] * 5
-    assert all(item.exists() for item in items)
-
-
 def touch_or_die(told: Path) -> Path:
     """A deadly item kills its worker when the first one is finished."""
     told.touch()
@@ -74,14 +61,6 @@ def test_a_worker_that_dies_ends_the_others_and_what_was_under_way_is_named(tmp_
         list(results)
     assert not active_children()
     assert time.monotonic() - begin < 0.5 * LONG_S
-
-
-def test_wrong_ways_to_ask_for_ray_are_refused(tmp_path, capsys):
-    words = ["track", str(shipped_recording()), "--output", str(tmp_path)]
-    assert cli.main([*words, "--ray", "local", "--live"]) == 1
-    assert "leave out --ray" in capsys.readouterr().err
-    assert cli.main(["flatten", str(tmp_path), "--ray", "local", "--live"]) == 2
-    assert "or --live" in capsys.readouterr().err
 
 
 def test_without_ray_one_line_says_how_to_install_it(monkeypatch):

@@ -15,8 +15,6 @@ from clothtrack.geometry.quality import (
     edge_strain,
 )
 
-UP = np.array([0.0, 0.0, 1.0])
-
 
 def grid(count, size):
     side = np.linspace(-size / 2, size / 2, count)
@@ -66,33 +64,6 @@ def test_crossings_agree_with_all_pairs(seed):
     assert crossings(vertices, faces) == expected
 
 
-def test_one_needle_through_a_sheet_is_counted_and_a_flat_stack_is_not():
-    sheet, faces = grid(5, 0.4)
-    above = sheet + 0.01 * UP
-    stack = np.concatenate([sheet, above]), np.concatenate([faces, faces + 25])
-    assert crossings(*stack) == 0
-    needle = np.array([[0.03, 0.02, -0.1], [0.031, 0.022, 0.1], [0.3, 0.3, 0.2]])
-    vertices = np.concatenate([sheet, needle])
-    # Its two long sides pierce the sheet, and edges of the sheet pierce it in turn.
-    joined = np.concatenate([faces, [[25, 26, 27]]])
-    assert crossings(vertices, joined) == brute_crossings(vertices, joined) >= 2
-
-
-def test_what_crosses_is_named_by_its_vertices():
-    sheet, faces = grid(5, 0.4)
-    needle = np.array([[0.03, 0.02, -0.1], [0.031, 0.022, 0.1], [0.03, 0.021, 0.3]])
-    vertices = np.concatenate([sheet, needle])
-    joined = np.concatenate([faces, [[25, 26, 27]]])
-    edges, triangles = crossing_edges(vertices, joined)
-    assert {25, 26} in [set(edge) for edge in edges.tolist()]
-    pierced = [each for each in triangles.tolist() if max(each) < 25]
-    corners = vertices[pierced[0]]
-    assert (corners[:, :2].min(axis=0) <= needle[0, :2]).all()
-    assert (corners[:, :2].max(axis=0) >= needle[0, :2]).all()
-    nothing = crossing_edges(sheet, faces)
-    assert [part.shape for part in nothing] == [(0, 2), (0, 3)]
-
-
 def test_a_check_of_moving_vertices_finds_what_a_new_one_finds():
     rng = np.random.default_rng(5)
     vertices, faces = grid(8, 0.1)
@@ -115,16 +86,6 @@ def test_a_vertex_that_is_nowhere_crosses_nothing():
     whole = faces[(faces != 7).all(axis=1)]
     assert crossings(lost, faces) == crossings(vertices, whole) > 0
     assert crossings(np.full_like(vertices, np.nan), faces) == 0
-
-
-def test_close_pairs_skip_neighbors_and_their_neighbors():
-    vertices, faces = grid(9, 0.032)  # 4 mm spacing: neighbors are within 5 mm, as in fine meshes
-    assert close_pairs(vertices, faces) == 0
-    both = np.concatenate([vertices, vertices + 0.003 * UP])
-    both_faces = np.concatenate([faces, faces + 81])
-    gaps = np.linalg.norm(vertices[:, None] - (vertices + 0.003 * UP)[None], axis=-1)
-    assert close_pairs(both, both_faces, 0.0045) == (gaps <= 0.0045).sum()
-    assert close_pairs(both, both_faces, 0.002) == 0
 
 
 def test_close_pairs_agree_with_a_walk_over_the_mesh():

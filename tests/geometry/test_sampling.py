@@ -19,10 +19,3 @@ def test_samples_lie_on_the_triangles_and_follow_the_area():
     # Uniform: the centroid is the triangle's, and a corner cut at half height holds a quarter.
     np.testing.assert_allclose([x.mean(), y.mean()], [1, 1], atol=0.03)
     np.testing.assert_allclose((x > 1.5).mean(), 0.25, atol=0.01)
-
-
-def test_the_seed_decides():
-    vertices, faces = np.eye(3), np.array([[0, 1, 2]])
-    one = sample_surface(vertices, faces, 10, seed=1)
-    np.testing.assert_array_equal(one, sample_surface(vertices, faces, 10, seed=1))
-    assert not np.allclose(one, sample_surface(vertices, faces, 10, seed=2))

@@ -1,6 +1,5 @@
 """ROS 1 and ROS 2 bags: every bit of depth arrives, whatever the container."""
 
-import json
 import re
 
 import numpy as np
@@ -18,14 +17,11 @@ from import_makers import (
 )
 from mcap.writer import CompressionType
 from mcap_ros2.writer import Writer as OtherMcapWriter
-from rosbags.highlevel import AnyReader
 
-from clothtrack.errors import ClothTrackError, InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.store import read_recording
-from clothtrack_capture.importing.containers import open_part
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
-from clothtrack_capture.importing.ros_bags import bag_files
 
 ROS2 = Messages(cdr=True)
 ROS1 = Messages(cdr=False)
@@ -75,19 +71,6 @@ def test_every_bit_arrives(kind, film, tmp_path):
     assert not report.dropped
 
 
-@pytest.mark.parametrize("kind", WRITERS)
-def test_the_walk_finds_what_the_reader_of_the_format_finds(kind, film, tmp_path):
-    name = "film.bag" if kind.startswith("ros 1") else "film"
-    source = WRITERS[kind](tmp_path / name, film)
-    with AnyReader([source]) as reader:
-        expected = [(one.topic, time) for one, time, _ in reader.messages()]
-    containers = [open_part(file) for file in bag_files(source)]
-    found = [(one.topic.name, one.log_ns) for part in containers for one in part.messages()]
-    assert sorted(found) == sorted(expected)
-    for part in containers:
-        part.close()
-
-
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_mcap_of_another_writer(compression, film, tmp_path):
     """As `ros2 bag` and Foxglove write it: schemas with dependencies, CRCs, three packings."""
@@ -106,21 +89,6 @@ def test_mcap_of_another_writer(compression, film, tmp_path):
             )  # fmt: skip
         writer.finish()
     import_recording(file, tmp_path / "out")
-    assert_same(tmp_path / "out", film)
-
-
-def test_a_bag_in_several_parts_is_read_in_natural_order(tmp_path):
-    film = Film(frames=12)
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    for part in range(12):
-        one = Film(frames=12)
-        one.times, one.depth, one.color = (
-            a[part : part + 1] for a in (film.times, film.depth, film.color)
-        )
-        written = write_ros2(tmp_path / f"part{part}", stream(one, ROS2), ROS2, storage="sqlite3")
-        (written / f"part{part}.db3").rename(folder / f"bag_{part}.db3")
-    import_recording(folder, tmp_path / "out")
     assert_same(tmp_path / "out", film)
 
 
@@ -177,17 +145,6 @@ def test_compressed_transports(film, tmp_path):
     assert_same(tmp_path / "out", film)
 
 
-def test_lossy_depth_is_refused(film, tmp_path):
-    entries = []
-    for time in film.times.tolist():
-        entries.append(("/camera/depth/camera_info", time, ROS2.info(time, film)))
-        lossy = ROS2.compressed(time, b"\xff\xd8", "16UC1; jpeg compressed")
-        entries.append(("/camera/depth/image_raw/compressed", time, lossy))
-    source = write_ros2(tmp_path / "bag", entries, ROS2)
-    with pytest.raises(InvalidRecordingError, match="--depth-topic"):
-        import_recording(source, tmp_path / "out")
-
-
 def test_topics_that_cannot_be_guessed_are_listed(film, tmp_path):
     entries = list(stream(film, ROS2, depth="/mine/tiefe", color="/mine/farbe"))
     source = write_ros2(tmp_path / "bag", entries, ROS2)
@@ -198,59 +155,3 @@ def test_topics_that_cannot_be_guessed_are_listed(film, tmp_path):
     chosen = ImportOptions(depth_topic="/mine/tiefe", color_topic="/mine/farbe")
     import_recording(source, tmp_path / "out", chosen)
     assert_same(tmp_path / "out", film)
-
-
-def test_two_cameras_must_be_chosen_between(film, tmp_path):
-    entries = [
-        *stream(film, ROS2, depth="/left/depth/image_raw", color="/left/color/image_raw"),
-        *stream(film, ROS2, depth="/right/depth/image_raw", color="/right/color/image_raw"),
-    ]
-    source = write_ros2(tmp_path / "bag", entries, ROS2)
-    with pytest.raises(InvalidRecordingError, match=r"/left/depth/image_raw.*--depth-topic"):
-        import_recording(source, tmp_path / "out")
-    chosen = ImportOptions(depth_topic="/right/depth/image_raw")
-    report = import_recording(source, tmp_path / "out", chosen)
-    assert report.streams["color"] == "/right/color/image_raw"
-
-
-def test_depth_that_the_driver_registered_is_preferred(film, tmp_path):
-    entries = [
-        *stream(film, ROS2, depth="/camera/camera/depth/image_rect_raw"),
-        *stream(film, ROS2, depth="/camera/camera/aligned_depth_to_color/image_raw"),
-    ]
-    source = write_ros2(tmp_path / "bag", entries, ROS2)
-    report = import_recording(source, tmp_path / "out")
-    assert "aligned" in report.streams["depth"]
-
-
-@pytest.mark.parametrize("missing", ["unit", "lens"])
-def test_what_is_not_known_is_asked_for(missing, film, tmp_path):
-    encoding = "mono16" if missing == "unit" else "16UC1"
-    entries = []
-    for k, time in enumerate(film.times.tolist()):
-        entries.append(("/depth/image_raw", time, ROS2.image(time, film.depth[k], encoding)))
-        if missing == "unit":
-            entries.append(("/depth/camera_info", time, ROS2.info(time, film)))
-    source = write_ros2(tmp_path / "bag", entries, ROS2)
-    flag = {"unit": "--depth-unit-m", "lens": "--intrinsics"}[missing]
-    with pytest.raises(ClothTrackError, match=flag):
-        import_recording(source, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_damaged_picture_costs_its_frame_only(film, tmp_path):
-    entries = list(stream(film, ROS2))
-    entries[6][2].step = 3  # depth of the second frame
-    source = write_ros2(tmp_path / "bag", entries, ROS2)
-    report = import_recording(source, tmp_path / "out")
-    assert report.frames == film.frames - 1
-    assert any("1 frames" in one for one in report.dropped)
-    assert np.array_equal(depth_of(tmp_path / "out"), film.depth[[0, 2, 3]])
-
-
-def test_provenance_names_the_source(film, tmp_path):
-    source = WRITERS["mcap"](tmp_path / "bag", film)
-    import_recording(source, tmp_path / "out")
-    document = json.loads((tmp_path / "out" / "recording.json").read_text())
-    assert document["provenance"]["imported_from"] == "bag"
-    assert document["provenance"]["registered_by_import"] is False

@@ -1,6 +1,7 @@
 """Folders of pictures in the styles of TUM, Open3D and BOP."""
 
-import json
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -35,40 +36,6 @@ def test_every_bit_arrives(style, unit_m, film, tmp_path):
     assert recording.cameras[0].fx == film.f
 
 
-@pytest.mark.parametrize(
-    ("style", "left_out", "flag"),
-    [("tum", "unit", "--depth-unit-m"), ("tum", "lens", "--intrinsics"), ("bop", "fps", "--fps")],
-)
-def test_what_a_style_does_not_say_is_asked_for(style, left_out, flag, film, tmp_path):
-    source = write_folder(tmp_path / "film", film, style)
-    lens = lens_file(tmp_path / "lens.json", film)
-    chosen = {
-        "unit": ImportOptions(intrinsics=lens),
-        "lens": ImportOptions(depth_unit_m=0.001),
-        "fps": ImportOptions(),
-    }[left_out]
-    with pytest.raises(InvalidRecordingError, match=flag):
-        import_recording(source, tmp_path / "out", chosen)
-
-
-def test_all_that_a_folder_does_not_say_is_asked_for_at_once(film, tmp_path):
-    source = write_folder(tmp_path / "film", film, "bop")
-    (source / "scene_camera.json").unlink()
-    with pytest.raises(InvalidRecordingError) as refused:
-        import_recording(source, tmp_path / "out", ImportOptions())
-    for flag in ("--fps", "--intrinsics FILE", "--depth-unit-m"):
-        assert flag in str(refused.value)
-
-
-def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
-    source = write_folder(tmp_path / "film", film, "open3d")
-    (source / "depth" / "000001.png").unlink()
-    report = import_recording(source, tmp_path / "out")
-    times = [frame.time_s for frame in read_recording(tmp_path / "out").frames]
-    assert np.allclose(times, [0, 2 / 30, 3 / 30])
-    assert "1 color pictures" in report.dropped[0]
-
-
 def test_depth_as_jpeg_is_called_so(film, tmp_path):
     source = write_folder(tmp_path / "film", film, "open3d")
     for file in (source / "depth").iterdir():
@@ -76,15 +43,6 @@ def test_depth_as_jpeg_is_called_so(film, tmp_path):
         file.unlink()
     with pytest.raises(InvalidRecordingError, match=r"depth as a JPEG.*16-bit gray PNG"):
         import_recording(source, tmp_path / "out")
-
-
-def test_a_scene_whose_camera_changes_is_refused(film, tmp_path):
-    source = write_folder(tmp_path / "film", film, "bop")
-    content = json.loads((source / "scene_camera.json").read_text())
-    content["2"]["cam_K"][0] += 1
-    (source / "scene_camera.json").write_text(json.dumps(content))
-    with pytest.raises(InvalidRecordingError, match="one fixed camera"):
-        import_recording(source, tmp_path / "out", ImportOptions(fps=30.0))
 
 
 def test_lists_and_links_do_not_lead_out(film, tmp_path):
@@ -100,16 +58,10 @@ def test_lists_and_links_do_not_lead_out(film, tmp_path):
 
 def test_a_bomb_costs_nothing(film, tmp_path):
     """A PNG that announces a gigantic picture is refused by its header."""
-    import struct
-    import zlib
-
-    def chunk(kind, data):
-        tail = struct.pack(">I", zlib.crc32(kind + data))
-        return struct.pack(">I", len(data)) + kind + data + tail
-
     source = write_folder(tmp_path / "film", film, "open3d")
-    head = struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
-    bomb = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+    plain = (source / "depth" / "000001.png").read_bytes()
+    head = b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
+    bomb = plain[:12] + head + struct.pack(">I", zlib.crc32(head)) + plain[33:]
     (source / "depth" / "000001.png").write_bytes(bomb)
     report = import_recording(source, tmp_path / "out")
     assert report.frames == film.frames - 1
@@ -136,3 +88,19 @@ def test_a_wrong_lens_file_is_named(content, word, film, tmp_path):
     with pytest.raises(ClothTrackError, match=word) as caught:
         import_recording(source, tmp_path / "out")
     assert "intrinsic.json" in str(caught.value)
+
+
+def test_what_a_folder_does_not_say_is_asked_for_at_once(film, tmp_path):
+    lens = lens_file(tmp_path / "lens.json", film)
+    folders = {style: write_folder(tmp_path / style, film, style) for style in ("tum", "bop")}
+    bare = write_folder(tmp_path / "bare", film, "bop")
+    (bare / "scene_camera.json").unlink()
+    for source, chosen, flags in (
+        (folders["tum"], ImportOptions(intrinsics=lens), ["--depth-unit-m"]),
+        (folders["tum"], ImportOptions(depth_unit_m=0.001), ["--intrinsics"]),
+        (folders["bop"], ImportOptions(), ["--fps"]),
+        (bare, ImportOptions(), ["--fps", "--intrinsics FILE", "--depth-unit-m"]),
+    ):
+        with pytest.raises(InvalidRecordingError) as refused:
+            import_recording(source, tmp_path / "out", chosen)
+        assert all(flag in str(refused.value) for flag in flags)

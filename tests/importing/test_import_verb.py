@@ -60,22 +60,20 @@ def test_wrong_options_end_with_one_line_and_leave_nothing(words, source, tmp_pa
 
 
 @pytest.mark.parametrize(
-    "kind", ["missing", "empty", "text", "folder", "empty bag", "pipe", "link"]
+    ("kind", "make"),
+    [
+        ("missing", lambda path: None),
+        ("empty", lambda path: path.touch()),
+        ("text", lambda path: path.write_text("not a bag\n" * 100)),
+        ("folder", lambda path: path.mkdir()),
+        ("empty bag", lambda path: path.write_bytes(b"#ROSBAG V2.0\n")),
+        ("pipe", os.mkfifo),
+        ("link", lambda path: path.symlink_to(path)),
+    ],
 )
-def test_wrong_sources_are_named(kind, tmp_path, capsys):
+def test_wrong_sources_are_named(kind, make, tmp_path, capsys):
     source = tmp_path / "source"
-    if kind == "empty":
-        source.touch()
-    elif kind == "text":
-        source.write_text("not a bag\n" * 100)
-    elif kind == "folder":
-        source.mkdir()
-    elif kind == "empty bag":
-        source.write_bytes(b"#ROSBAG V2.0\n")
-    elif kind == "pipe":
-        os.mkfifo(source)
-    elif kind == "link":
-        source.symlink_to(source)
+    make(source)
     assert cli.main(["import", str(source), str(tmp_path / "out")]) == 1
     assert str(source) in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -92,32 +90,15 @@ def test_a_path_and_the_table_share_one_world(source, tmp_path, capsys):
     assert "import again with --world-from-camera camera.json" in told
     table = {"point": [0.0, 0.0, 0.1], "normal": [0.0, 0.0, 1.0]}
     pose = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]]
+    words[2:3] = [str(tmp_path / "two"), "--world-from-camera", str(camera)]
+    for wrong in ([1], {"point": [0, 0], "normal": [0, 0, 1]}, {**table, "normal": [0, 0, 2]}):
+        camera.write_text(json.dumps({"world_from_camera": pose, "table": wrong}))
+        assert cli.main(words) == 1
+        assert "table" in capsys.readouterr().err
     camera.write_text(json.dumps({"world_from_camera": pose, "table": table}))
-    words = ["import", str(source), str(tmp_path / "two"), "--picker-csv", str(path),
-             "--world-from-camera", str(camera)]  # fmt: skip
     assert cli.main(words) == 0
     assert "calibrate-camera" not in capsys.readouterr().out
     recording = read_recording(tmp_path / "two")
     assert recording.table.point.tolist() == table["point"]
     assert recording.table.normal.tolist() == table["normal"]
     assert recording.cameras[0].world_from_camera.tolist() == pose
-
-
-@pytest.mark.parametrize(
-    "table", [{}, [1], {"point": [0, 0], "normal": [0, 0, 1]}, {"point": "a", "normal": "b"},
-              {"point": [0, 0, 0], "normal": [0, 0, 2]}],
-)  # fmt: skip
-def test_a_wrong_table_is_named(table, source, tmp_path, capsys):
-    camera = tmp_path / "camera.json"
-    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    camera.write_text(json.dumps({"world_from_camera": pose, "table": table}))
-    words = ["import", str(source), str(tmp_path / "out"), "--world-from-camera", str(camera)]
-    assert cli.main(words) == 1
-    assert "table" in capsys.readouterr().err
-
-
-def test_an_existing_recording_is_not_touched(source, tmp_path, capsys):
-    (tmp_path / "out").mkdir()
-    assert cli.main(["import", str(source), str(tmp_path / "out")]) == 1
-    assert "exists" in capsys.readouterr().err
-    assert not list((tmp_path / "out").iterdir())

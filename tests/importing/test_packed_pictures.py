@@ -27,18 +27,6 @@ def with_chunk(data, kind, content):
     return data[:33] + chunk(kind, content) + data[33:]
 
 
-def test_plain_files_stay(film):
-    for packed, picture in ((packed_depth, film.depth[0]), (packed_color, film.color[0])):
-        data = png(picture)
-        assert packed(data).plain_png() == data
-        assert np.array_equal(packed(data).decode(), picture)
-
-
-def test_remarks_are_left_out(film):
-    data = png(film.depth[0])
-    assert packed_depth(with_chunk(data, b"tEXt", b"Author\0somebody")).plain_png() == data
-
-
 def test_what_changes_the_pixels_is_decoded(film):
     gray = png(film.color[0][..., 0])
     jpeg = cv2.imencode(".jpg", film.color[0])[1].tobytes()
@@ -60,22 +48,14 @@ def test_pixels_that_contradict_the_header_are_refused(rows):
         packed_depth(gray16(rows, 2, 2)).plain_png()
 
 
-@pytest.mark.parametrize("share", [0.3, 0.9])
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.999])
 def test_a_broken_file_is_refused(share, film):
     data = png(film.depth[0])
     flipped = bytearray(data)
-    flipped[int(share * len(data))] ^= 1
+    flipped[int(share * (len(data) - 12))] ^= 1
     for broken in (data[: int(share * len(data))], bytes(flipped)):
         with pytest.raises(TruncatedError):
             packed_depth(broken).plain_png()
-
-
-def test_a_wrong_checksum_of_the_pixels_is_refused():
-    data = gray16(bytes(10), 2, 2)
-    pixels = zlib.compress(bytes(10))
-    other = pixels[:-1] + bytes([pixels[-1] ^ 1])
-    with pytest.raises(TruncatedError):
-        packed_depth(data.replace(chunk(b"IDAT", pixels), chunk(b"IDAT", other))).plain_png()
 
 
 def test_files_are_taken_over_or_left_out(tmp_path):
@@ -91,3 +71,11 @@ def test_files_are_taken_over_or_left_out(tmp_path):
     assert np.array_equal(depth_of(tmp_path / "out"), film.depth[[0, 2, 4]])
     assert np.array_equal(color_of(tmp_path / "out"), film.color[[0, 2, 4]])
     assert any("31 x 24" in one for one in report.dropped)
+
+
+def test_plain_files_stay_but_for_remarks(film):
+    for packed, picture in ((packed_depth, film.depth[0]), (packed_color, film.color[0])):
+        data = png(picture)
+        for one in (data, with_chunk(data, b"tEXt", b"Author\0somebody")):
+            assert packed(one).plain_png() == data
+            assert np.array_equal(packed(one).decode(), picture)

@@ -1,5 +1,7 @@
 """RealSense recordings, old and new, and the one genuine file."""
 
+import re
+
 import numpy as np
 import pytest
 from import_makers import color_of, depth_of, write_realsense_bag, write_realsense_db3
@@ -12,15 +14,6 @@ from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording, open_source
 
 
-def test_new_recordings(film, tmp_path):
-    source = write_realsense_db3(tmp_path / "film.db3", film)
-    report = import_recording(source, tmp_path / "out")
-    assert np.array_equal(depth_of(tmp_path / "out"), film.depth)
-    assert np.array_equal(color_of(tmp_path / "out"), film.color)
-    assert report.depth_unit_m == 0.00025
-    assert "Depth Units" in report.depth_unit_origin
-
-
 def test_the_pose_between_the_cameras_is_the_sensors_own(film, tmp_path):
     """`/tf_static` of the same file, in another convention, would move depth by half a meter."""
     source = write_realsense_db3(tmp_path / "film.db3", film, shift_m=0.015)
@@ -29,14 +22,6 @@ def test_the_pose_between_the_cameras_is_the_sensors_own(film, tmp_path):
     expected = np.eye(4)
     expected[0, 3] = 0.015
     assert np.allclose(opened.streams.calibration.color_from_depth, expected)
-
-
-def test_old_recordings(film, tmp_path):
-    source = write_realsense_bag(tmp_path / "film.bag", film)
-    report = import_recording(source, tmp_path / "out")
-    assert np.array_equal(depth_of(tmp_path / "out"), film.depth)
-    assert np.array_equal(color_of(tmp_path / "out"), film.color)
-    assert report.depth_unit_m == 0.00025
 
 
 def test_an_old_recording_without_its_unit_asks(film, tmp_path):
@@ -76,3 +61,14 @@ def test_the_genuine_recording(data, tmp_path):
     # The color camera sees a narrower part, almost all of it measured.
     assert (carried > 0).mean() > 0.95
     assert np.median(carried[carried > 0]) == pytest.approx(1.55, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("write", "name"), [(write_realsense_db3, "film.db3"), (write_realsense_bag, "film.bag")]
+)
+def test_every_bit_of_new_and_old_recordings_arrives(write, name, film, tmp_path):
+    report = import_recording(write(tmp_path / name, film), tmp_path / "out")
+    assert np.array_equal(depth_of(tmp_path / "out"), film.depth)
+    assert np.array_equal(color_of(tmp_path / "out"), film.color)
+    assert report.depth_unit_m == 0.00025
+    assert re.search("Depth.Units", report.depth_unit_origin)

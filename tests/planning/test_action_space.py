@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import (
     PICTURE_MARGIN,
@@ -17,8 +15,6 @@ from clothtrack.planning.action_space import (
     Workspace,
     edge_measure,
     in_picture,
-    off_cloth,
-    pick_weights,
     sample_actions,
 )
 
@@ -47,13 +43,6 @@ def test_the_edge_measure_tells_middle_edge_and_corner():
     assert found[middle] < 0.02
     assert found[edge] == pytest.approx(straight, rel=0.12)
     assert found[corner] == pytest.approx(np.sqrt(2.0) * straight, rel=0.12)
-
-
-def test_the_edge_measure_ignores_turns_and_shifts():
-    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
-    cloud = sheet(step=0.0041)
-    moved = edge_measure(cloud @ turn.T + [1.0, -2.0, 0.5])
-    np.testing.assert_allclose(moved, edge_measure(cloud), atol=1e-6)
 
 
 def test_every_action_keeps_all_limits():
@@ -93,37 +82,6 @@ def test_edges_are_picked_more_often_and_equal_seeds_are_equal():
         np.testing.assert_array_equal(one.place, other.place)
 
 
-def test_a_hem_that_lies_on_other_cloth_is_an_edge_too():
-    """A towel folded in half: the hem on top is in the middle of what is seen."""
-    flat = towel(0.2, 0.2, 0.01)
-    folded = flat.vertices.copy()
-    over = folded[:, 0] > 0.0
-    folded[over, 0] *= -1.0
-    folded[over, 0] += 0.04  # the upper hem lies 4 cm inside the lower one
-    folded[over, 2] = 0.004
-    cloud = folded[over]
-    with_mesh = pick_weights(cloud, flat, folded)
-    without = pick_weights(cloud)
-    assert with_mesh.sum() == pytest.approx(1.0)
-    hem = np.isclose(flat.vertices[over, 0], 0.1) & (np.abs(cloud[:, 1]) < 0.05)
-    inside = np.isclose(flat.vertices[over, 0], 0.05) & (np.abs(cloud[:, 1]) < 0.05)
-    assert with_mesh[hem].mean() > 3.0 * with_mesh[inside].mean()
-    assert without.sum() == pytest.approx(1.0)
-
-
-def test_nothing_in_reach_gives_no_action():
-    space = ActionSpace(workspace=Workspace(x_m=(1.0, 2.0)))
-    assert sample_actions(SEEN, 10, space, np.random.default_rng(0)) == []
-
-
-def test_a_place_is_as_far_off_the_cloth_as_it_lies_beside_it_whatever_its_height():
-    """The sheet ends 10 cm from the middle."""
-    places = [np.array([0.0, 0.0, 0.0]), np.array([0.25, 0.0, 0.3])]
-    tried = [PickPlace(np.zeros(3), place, 0.05) for place in places]
-    np.testing.assert_allclose(off_cloth(SEEN, tried), [0.0, 0.15], atol=0.006)
-    assert off_cloth(SEEN, []).shape == (0,)
-
-
 def test_no_pick_is_below_the_table_however_noisy_the_cloud_is(rng):
     noisy = SEEN.cloud.copy()
     noisy[:, 2] += rng.normal(scale=0.004, size=len(noisy))
@@ -140,14 +98,3 @@ def test_a_path_starts_at_the_pick_rises_and_ends_at_the_place():
     speeds = np.linalg.norm(np.diff(np.vstack([action.pick, path]), axis=0), axis=1) / 0.02
     assert speeds.max() <= 0.3 * 1.02
     assert path[:, 2].max() == pytest.approx(0.085, abs=0.002)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"distance_m": (0.2, 0.05)}, {"lift_m": (-0.1, 0.1)}, {"edges": 1.5}],
-)
-def test_settings_that_hold_nothing_are_refused(wrong):
-    with pytest.raises(InvalidConfigError, match=next(iter(wrong))):
-        ActionSpace(**wrong)
-    with pytest.raises(InvalidConfigError, match="z_m"):
-        Workspace(z_m=(0.1, 0.0))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
@@ -40,18 +39,3 @@ def test_the_two_layers_of_a_shirt_stay_apart():
     own_front = coarsen.flat.canonical[deep, 2] > 0.0
     assert (up[deep][own_front] > 0.07).all()
     assert (up[deep][~own_front] < 0.03).all()
-
-
-def test_a_garment_nobody_can_make_is_planned_as_it_is():
-    fine = garment("towel", vertex_count=200)
-    coarsen = Coarsener(fine, "other")
-    assert coarsen.flat is fine
-    np.testing.assert_array_equal(coarsen(fine.vertices), fine.vertices)
-
-
-def test_few_vertices_are_never_exceeded():
-    fine = garment("tshirt", vertex_count=1500)
-    coarsen = Coarsener(fine, "tshirt", CoarseConfig(most_vertices=150))
-    assert coarsen.flat.vertex_count <= 165
-    with pytest.raises(InvalidConfigError, match="most_vertices"):
-        CoarseConfig(most_vertices=3)

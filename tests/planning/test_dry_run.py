@@ -9,7 +9,6 @@ import pytest
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import PickPlace, Workspace
-from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.robots.dry_run import STOPPED, DryRunRobot
 from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
 
@@ -22,16 +21,6 @@ ACTION = PickPlace(np.array([0.05, 0.0, 0.01]), np.array([-0.1, 0.1, 0.01]), 0.0
 def frame():
     color = np.full((120, 160, 3), 90, np.uint8)
     return RgbdFrame(1.0, CAMERA, np.full((120, 160), 0.8, np.float32), color)
-
-
-def test_an_arrow_goes_from_pick_to_place():
-    drawn = draw_action(frame().color, CAMERA, ACTION)
-    changed = np.argwhere((drawn != 90).any(axis=2))[:, ::-1]
-    pixels, _ = CAMERA.project(np.stack([ACTION.pick, ACTION.place]))
-    for pixel in pixels:
-        assert np.linalg.norm(changed - pixel, axis=1).min() < 3.0
-    assert (frame().color == 90).all()
-    assert shown_depth(frame().depth_m).shape == (120, 160, 3)
 
 
 def test_the_plan_is_on_disk_and_nothing_moved(tmp_path):

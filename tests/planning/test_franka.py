@@ -1,7 +1,6 @@
 """A Franka refuses before it moves: tested against an arm that only remembers."""
 
 import sys
-import types
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
-from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm, subdivided
+from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[:3, 3] = 0.5, 0.0, 0.8
@@ -52,10 +51,6 @@ def robot_of(arm, config=CONFIG, **options):
     return FrankaRobot(arm, lambda: picture, config, **options)
 
 
-def moved(base, changes):
-    return replace(GOOD, **{name: np.array(value) for name, value in changes.items()})
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -64,12 +59,15 @@ def moved(base, changes):
         {"place": [0.5, 0.0, -0.01]},
         {"pick": [0.5, 0.0, 0.001]},
         {"pick": [0.5, np.nan, 0.01]},
+        {"lift_m": 0.6},
     ],
 )
 def test_what_breaks_a_limit_moves_nothing(changes):
     arm = FakeArm()
     robot = robot_of(arm)
-    action = moved(GOOD, changes)
+    action = replace(
+        GOOD, **{name: np.array(one) if name != "lift_m" else one for name, one in changes.items()}
+    )
     assert not robot.check(action).reachable
     with pytest.raises(InvalidConfigError, match="refused before moving"):
         robot.execute(action)
@@ -77,14 +75,7 @@ def test_what_breaks_a_limit_moves_nothing(changes):
     assert not arm.fingers
 
 
-def test_too_high_a_lift_is_refused():
-    arm = FakeArm()
-    with pytest.raises(InvalidConfigError, match=r"workspace\.z_m"):
-        robot_of(arm).execute(replace(GOOD, lift_m=0.6))
-    assert not arm.moves
-
-
-def test_without_leave_nothing_moves():
+def test_without_leave_or_the_driver_nothing_moves(monkeypatch):
     arm = FakeArm()
     robot = robot_of(arm, may_move=False)
     assert robot.check(GOOD).reachable
@@ -93,6 +84,9 @@ def test_without_leave_nothing_moves():
         robot.execute(GOOD)
     assert not arm.moves
     assert not arm.fingers
+    monkeypatch.setitem(sys.modules, "franky", None)
+    with pytest.raises(InvalidConfigError, match=r"install with: .*franka"):
+        FrankyArm("10.0.0.2")
 
 
 def test_a_good_action_keeps_to_the_limits_and_is_measured():
@@ -151,58 +145,3 @@ def test_a_fault_is_told_and_the_path_so_far_is_kept():
 def test_an_unsafe_cell_is_refused(changes, told):
     with pytest.raises(InvalidConfigError, match=told):
         FrankaConfig(**{"limits": LIMITS, **changes})
-
-
-def test_the_driver_asks_franky_for_slow_absolute_lines(monkeypatch):
-    """The calls that the adapter makes; a fake franky, as there is no arm here."""
-    said = []
-
-    class Limit:
-        def set(self, value):
-            said.append(("speed", value))
-
-    class Robot:
-        def __init__(self, address):
-            said.append(("robot", address))
-            self.translation_velocity_limit = Limit()
-            pose = types.SimpleNamespace(translation=np.array([0.1, 0.2, 0.3]))
-            self.current_cartesian_state = types.SimpleNamespace(
-                pose=types.SimpleNamespace(end_effector_pose=pose)
-            )
-
-        def move(self, motion):
-            said.append(("move", motion))
-
-    class Gripper:
-        def __init__(self, address):
-            pass
-
-        def grasp(self, width, speed, force, epsilon_outer):
-            said.append(("grasp", epsilon_outer))
-            return True
-
-    franky = types.SimpleNamespace(
-        Robot=Robot, Gripper=Gripper, Affine=lambda *told: told,
-        CartesianMotion=lambda target, kind: (target, kind),
-        ReferenceType=types.SimpleNamespace(Absolute="absolute"),
-    )  # fmt: skip
-    monkeypatch.setitem(sys.modules, "franky", franky)
-    arm = FrankyArm("10.0.0.2")
-    assert [name for name, _ in said] == ["robot"]
-    arm.move(np.array([0.4, 0.0, 0.2]), 0.1)
-    assert ("speed", 0.1) in said
-    (motion,) = [one for name, one in said if name == "move"]
-    assert motion == (([0.4, 0.0, 0.2], [1.0, 0.0, 0.0, 0.0]), "absolute")
-    assert arm.close() is True
-    np.testing.assert_allclose(arm.position(), [0.1, 0.2, 0.3])
-    monkeypatch.setitem(sys.modules, "franky", None)
-    with pytest.raises(InvalidConfigError, match=r"install with: .*franka"):
-        FrankyArm("10.0.0.2")
-
-
-def test_a_way_is_cut_without_leaving_it():
-    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.05]])
-    cut = subdivided(points, 0.03)
-    assert np.linalg.norm(np.diff(cut, axis=0), axis=1).max() <= 0.03
-    for point in points:
-        assert np.linalg.norm(cut - point, axis=1).min() < 1e-12

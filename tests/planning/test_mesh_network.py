@@ -6,27 +6,19 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import towel
 from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
 from clothtrack_lab.graph_dynamics.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
     Ways,
-    advance,
     roll_out,
 )
 from clothtrack_lab.graph_dynamics.mesh_prior import (
     contacts,
-    dragged,
-    nearer_to_rest,
-    tethered,
 )
 
 CONFIG = MeshNetworkConfig(width=16, message_steps=2)
-REFERENCE = {
-    "projections": 0, "dragging": 0, "kept_velocity": 1.0, "gravity": 0.0, "tethered": False,
-}  # fmt: skip
 FLAT = towel(0.2, 0.2, 0.04)
 
 
@@ -87,46 +79,6 @@ def test_numbering_means_nothing(network):
     np.testing.assert_allclose(here[:, order], there, atol=1e-5)
 
 
-def test_layers_that_come_near_feel_each_other(network):
-    """Two corners of the cloth meet: edges appear that the mesh has not."""
-    positions, _, _ = state()
-    near = positions.clone()
-    near[0, 0] = near[0, -1] + torch.tensor([0.0, 0.0, 0.01])
-    springs, radius = springs_of(FLAT), CONFIG.collision_radius_m
-    _, _, rest = network._edges(near, contacts(near, radius), springs)
-    assert (rest == 0.0).sum() > 0
-    far = torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
-    assert (network._edges(far, contacts(far, radius), springs)[2] == 0.0).sum() == 0
-
-
-def test_a_step_is_semi_implicit_and_obeys_the_gripper_and_the_table(network):
-    positions, velocities, held = state()
-    targets = positions + 0.02
-    lowest = 0.0
-    told = velocities.clone()
-    told[held] = torch.cat([told[held][:, :-1], torch.full((1, 1, 3), 0.02 / CONFIG.step_s)], dim=1)
-    change = accelerations(network, positions, told, held)
-    assert change.abs().max() > 0.1
-    network = unprojected(network)
-    with torch.no_grad():
-        after, past = advance(
-            network, positions, velocities, held, springs_of(FLAT), targets=targets, lowest_m=lowest
-        )
-    step = CONFIG.step_s
-    free = positions + step * (velocities[:, :, -1] + step * change)
-    free[..., 2].clamp_(min=lowest)
-    np.testing.assert_allclose(after[~held], free[~held], atol=1e-5)
-    np.testing.assert_allclose(after[held], targets[held])
-    np.testing.assert_allclose(past[:, :, :-1], velocities[:, :, 1:])
-    np.testing.assert_allclose(past[:, :, -1], (after - positions) / step, atol=1e-5)
-
-
-def unprojected(network):
-    free = MeshNetwork(replace(CONFIG, **REFERENCE)).eval()
-    free.load_state_dict(network.state_dict())
-    return free
-
-
 def test_a_held_corner_draws_the_cloth_along_and_stretches_it_little():
     """A fresh network accelerates nothing: what moves is drawn by edges."""
     positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
@@ -147,71 +99,3 @@ def test_a_held_corner_draws_the_cloth_along_and_stretches_it_little():
         strain[projections] = float((gap / springs.rest - 1.0).clamp_min(0.0).max())
     assert strain[0] > 1.0
     assert strain[10] < 0.1 * strain[0]
-
-
-def test_a_slack_cloth_is_left_alone_and_a_stretched_one_shrinks():
-    positions, _, _ = state()
-    springs = springs_of(FLAT)
-    nobody = torch.zeros(positions.shape[:2], dtype=torch.bool)
-    slack = 0.8 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
-    torch.testing.assert_close(nearer_to_rest(slack, nobody, springs, unfolding=0.0), slack)
-    wider = nearer_to_rest(slack, nobody, springs, unfolding=0.3)
-    assert float(wider.std()) > float(slack.std())
-    wide = 1.5 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
-    closer = nearer_to_rest(wide, nobody, springs, unfolding=0.0)
-    assert float(closer.std()) < float(wide.std())
-    torch.testing.assert_close(closer.mean(dim=1), wide.mean(dim=1), atol=1e-3, rtol=0.0)
-
-
-def test_what_lies_on_the_held_cloth_is_drawn_along():
-    """A layer on the held one, joined by no edge, goes with it; one beside them stays."""
-    before = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.01], [0.5, 0.0, 0.0]]])
-    held = torch.tensor([[True, False, False]])
-    after = before + torch.tensor([0.03, 0.0, 0.0]) * held[..., None]
-    near = contacts(before, CONFIG.collision_radius_m)
-    once = dragged(before, after, near, held, times=1) - before
-    np.testing.assert_allclose(once[0, :, 0], [0.03, 0.015, 0.0], atol=1e-7)
-    often = dragged(before, after, near, held, times=20) - before
-    np.testing.assert_allclose(often[0, :, 0], [0.03, 0.03, 0.0], atol=1e-5)
-
-
-def test_the_gripper_goes_on_in_every_part_of_a_step():
-    """Less is lost on a long way in parts: the far end follows, where one pull leaves it behind."""
-    positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
-    springs = springs_of(FLAT)
-    corner = int(torch.argmax(positions[0, :, 0] + positions[0, :, 1]))
-    far = int(torch.argmin(positions[0, :, 0] + positions[0, :, 1]))
-    way = torch.tensor([0.12, 0.12, 0.0]) * torch.linspace(0.0, 1.0, 4)[1:, None]
-    ways = Ways(torch.tensor([corner]), positions[:, corner : corner + 1] + way, torch.tensor([3]))
-    came = {}
-    for parts in (1, 4):
-        network = MeshNetwork(replace(CONFIG, parts=parts, tethered=False, projections=5)).eval()
-        after = roll_out(network, positions, springs, ways, steps=3)
-        np.testing.assert_allclose(after[0, corner], ways.places[0, -1], atol=1e-6)
-        came[parts] = float((after[0, far] - positions[0, far]).norm())
-    assert came[4] > 1.2 * came[1]
-
-
-def test_a_tether_is_as_long_as_the_cloth_between():
-    positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None].repeat(2, 1, 1)
-    springs = springs_of(FLAT)
-    held = torch.zeros(positions.shape[:2], dtype=torch.bool)
-    held[0, 0] = True
-    positions[:, 0] += torch.tensor([0.0, 0.0, 0.5])
-    after = tethered(positions, held, springs)
-    apart = (after[0] - after[0, 0]).norm(dim=-1)
-    assert (apart <= springs.along[0] + 1e-6).all()
-    assert float(apart.max()) > 0.15
-    torch.testing.assert_close(after[0, 0], positions[0, 0])
-    # Nobody holds the other cloth.
-    torch.testing.assert_close(after[1], positions[1])
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("width", 0), ("step_s", 0.0), ("parts", 0), ("dragging", -1), ("projections", -1),
-     ("kept_velocity", 1.5), ("gravity", -1.0)],
-)  # fmt: skip
-def test_sizes_without_sense_are_refused(name, value):
-    with pytest.raises(InvalidConfigError, match=f"{name} is {value}; it"):
-        MeshNetworkConfig(**{name: value})

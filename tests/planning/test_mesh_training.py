@@ -1,7 +1,5 @@
 """Mesh dynamics learn from roll-outs, resume, and are asked like the simulator."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -70,35 +68,8 @@ def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs,
     assert again.best_score == outcome.best_score
     one, other = (load_mesh_dynamics(path) for path in (outcome.weights, again.weights))
     np.testing.assert_array_equal(one.predict(LYING, [ACTION]), other.predict(LYING, [ACTION]))
-
-
-@pytest.mark.slow
-def test_another_training_is_not_gone_on_with(trained, roll_outs):
-    folder, _ = trained
     with pytest.raises(InvalidConfigError, match="noise_m"):
-        train_mesh_dynamics(roll_outs, "towel", replace(TINY, noise_m=0.5), folder)
-
-
-def test_windows_follow_from_the_draw_and_hold_what_was_held(roll_outs):
-    examples = WindowExamples(roll_outs, TINY)
-    one, again, other = examples[3, 1], examples[3, 1], examples[3, 2]
-    torch.testing.assert_close(one.past, again.past, rtol=0.0, atol=0.0)
-    assert not torch.equal(one.past, other.past)
-    assert one.past.shape[1] == TINY.network.history + 1
-    assert one.held.sum(dim=2).max() <= 1
-    drawn = [examples[index, 0] for index in range(len(examples))]
-    assert sum(int(each.held.sum()) for each in drawn) > 0
-    with pytest.raises(InvalidConfigError, match="no shard"):
-        WindowExamples([], TINY)
-
-
-def test_the_noise_is_on_the_past_alone_and_grows_towards_its_end(roll_outs):
-    loud = WindowExamples(roll_outs, replace(TINY, noise_m=0.01))[0, 0]
-    calm = WindowExamples(roll_outs, replace(TINY, noise_m=0.0))[0, 0]
-    torch.testing.assert_close(loud.future, calm.future, rtol=0.0, atol=0.0)
-    noise = (loud.past - calm.past).square().mean(dim=(0, 2, 3)).sqrt()
-    assert noise[-1] == pytest.approx(0.01, rel=0.15)
-    assert (noise.diff() > 0.0).all()
+        train_mesh_dynamics(roll_outs, "towel", replace(TINY, noise_m=0.5), tmp_path)
 
 
 def test_the_loss_of_the_truth_is_zero(roll_outs):
@@ -133,12 +104,3 @@ def test_the_held_vertex_ends_at_the_place():
     assert dynamics.predict(LYING, []).shape == (0, FLAT.vertex_count, 3)
     with pytest.raises(InvalidConfigError, match="time_step_s"):
         MeshDynamics(MeshNetwork(TINY.network), MeshDynamicsConfig(motion=MotionConfig()))
-
-
-def test_planning_does_not_import_torch():
-    code = (
-        "import sys, clothtrack.planning.action_space, clothtrack.planning.planning_dynamics, "
-        "clothtrack.planning.reward, clothtrack_lab.graph_dynamics.roll_outs; "
-        "sys.exit('torch' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

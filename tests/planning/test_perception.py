@@ -38,14 +38,6 @@ def shown(tmp_path):
     return read_recording(folder)
 
 
-def test_the_network_believes_in_the_cloth_that_is_seen(shown):
-    pytest.importorskip("torch")
-    belief = NetworkPerception("towel", CONFIG).perceive(shown)
-    assert belief.source == "network"
-    cloud = observe(shown, shown.frames[-1]).points
-    assert np.median(distance_to_mesh(cloud, belief.positions, belief.flat.faces)) < 0.01
-
-
 def test_a_refined_belief_has_its_layers_in_either_order(shown):
     pytest.importorskip("torch")
     assert NetworkPerception("towel", CONFIG).perceive(shown).opposite is None

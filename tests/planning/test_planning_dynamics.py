@@ -7,10 +7,7 @@ from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.planning_dynamics import (
-    HeldPaths,
-    MotionConfig,
     PlannedCloth,
-    PlanningDynamics,
     SimulatorDynamics,
     held_vertex,
 )
@@ -26,11 +23,6 @@ MISSED = PickPlace(np.array([0.3, 0.3, 0.0]), np.array([0.1, 0.1, 0.0]), 0.03)
 @pytest.fixture(scope="module")
 def dynamics():
     return SimulatorDynamics()
-
-
-def test_the_simulator_speaks_the_protocol(dynamics):
-    assert isinstance(dynamics, PlanningDynamics)
-    assert dynamics.predict(LYING, []).shape == (0, FLAT.vertex_count, 3)
 
 
 def test_doing_nothing_and_missing_leave_a_flat_cloth_flat(dynamics):
@@ -57,18 +49,6 @@ def test_a_candidate_is_the_same_alone_and_among_others(dynamics):
     np.testing.assert_array_equal(again, together)
 
 
-def test_a_higher_table_changes_nothing_but_the_height(dynamics):
-    raised = PlannedCloth(FLAT, LYING.positions + [0.0, 0.0, 0.5], 0.5)
-    up = [0.0, 0.0, 0.5]
-    action = PickPlace(INWARDS.pick + up, INWARDS.place + up, INWARDS.lift_m)
-    (high,) = dynamics.predict(raised, [action])
-    (low,) = dynamics.predict(LYING, [INWARDS])
-    # Rounding decides where a vertex in the fold comes to lie, and on which of its neighbors.
-    assert np.linalg.norm(high - up - low, axis=1).mean() < 2e-3
-    area = projected_area(low, FLAT.faces)
-    assert projected_area(high, FLAT.faces) == pytest.approx(area, rel=0.002)
-
-
 def test_the_topmost_vertex_under_the_pick_is_held():
     folded = FLAT.vertices.copy()
     over = folded[:, 0] > 0.0
@@ -79,28 +59,7 @@ def test_the_topmost_vertex_under_the_pick_is_held():
     assert held_vertex(cloth, MISSED) is None
 
 
-def test_ways_end_at_the_place_and_wait_there():
-    motion = MotionConfig()
-    held = HeldPaths.of(LYING, [INWARDS, None, ASIDE], motion)
-    assert held.vertices[1] == -1
-    assert held.steps[1] == 0
-    assert held.steps[0] > held.steps[2] > 0
-    for index, action in ((0, INWARDS), (2, ASIDE)):
-        beside = LYING.positions[held.vertices[index]] - action.pick
-        np.testing.assert_allclose(held.targets[index, -1], action.place + beside, atol=1e-9)
-
-
 def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynamics):
     asked = [INWARDS, None, ASIDE, MISSED]
     apart = SimulatorDynamics(together=1).predict(LYING, asked)
     np.testing.assert_allclose(apart, dynamics.predict(LYING, asked), atol=2e-3)
-
-
-def test_a_fine_cloth_says_which_layer_is_on_top():
-    """Two layers: the coarse mesh has no vertex of the upper one near, the fine one has."""
-    fine = np.array([[0.1, 0.1, 0.02], [0.1, 0.1, 0.0], [-0.1, -0.1, 0.0]])
-    stands_for = np.array([7, 3, 5])
-    known = PlannedCloth(FLAT, LYING.positions, fine=fine, stands_for=stands_for)
-    assert held_vertex(known, INWARDS) == 7
-    elsewhere = PickPlace(np.array([0.0, 0.0, 0.0]), CORNER, 0.05)
-    assert held_vertex(known, elsewhere) == held_vertex(LYING, elsewhere)

@@ -2,18 +2,12 @@
 
 import hashlib
 
-import numpy as np
 import pytest
-import torch
 from safetensors import safe_open
 
-from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
-from clothtrack.planning.action_space import PickPlace
-from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
-from clothtrack.planning.planning_dynamics import PlannedCloth
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M
 from clothtrack.reconstruction.availability import SHIPPED as TOKENS
 from clothtrack.reconstruction.training.checkpoint import load_weights
-from clothtrack_lab.graph_dynamics.mesh_dynamics import MeshDynamics
 from clothtrack_lab.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
 from clothtrack_lab.graph_dynamics.mesh_training import whole_roll_outs
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
@@ -51,30 +45,3 @@ def test_they_beat_standing_still_on_a_garment_that_they_never_saw(kind, tmp_pat
     weights.load_into(network)
     errors = whole_roll_outs(network, shards)
     assert errors["whole_error_mm"] < 0.65 * errors["whole_still_mm"]
-
-
-def test_without_other_weights_they_are_what_a_plan_is_tried_in():
-    dynamics = dynamics_of(FlattenConfig(dynamics="mesh"))
-    assert isinstance(dynamics, MeshDynamics)
-    flat = garment("towel", vertex_count=150)
-    lying = PlannedCloth(flat, flat.vertices + [0.0, 0.0, 0.0015])
-    corner = flat.vertices[int(np.argmax(flat.vertices[:, 0] + flat.vertices[:, 1]))]
-    inwards = PickPlace(corner.copy(), 0.2 * corner, 0.05)
-    moved, still = dynamics.predict(lying, [inwards, None])
-    assert np.linalg.norm(still - lying.positions, axis=1).mean() < 0.01
-    assert np.linalg.norm(moved - lying.positions, axis=1).max() > 0.05
-    stretch = np.linalg.norm(np.diff(moved[flat.edges], axis=1)[:, 0], axis=1) / flat.edge_lengths
-    assert np.quantile(stretch, 0.99) < 1.2
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_gpu_predicts_the_same():
-    flat = garment("towel", vertex_count=150)
-    lying = PlannedCloth(flat, flat.vertices + [0.0, 0.0, 0.0015])
-    actions = [PickPlace(flat.vertices[k], 0.5 * flat.vertices[k], 0.05) for k in (0, 40, 100)]
-    on = {
-        device: dynamics_of(FlattenConfig(dynamics="mesh"), device=device)
-        for device in ("cpu", "cuda:0")
-    }
-    here, there = (one.predict(lying, actions) for one in on.values())
-    np.testing.assert_allclose(here, there, atol=2e-3)

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -21,7 +19,6 @@ from clothtrack_lab.published_networks.canonicalisation import (
 from clothtrack_lab.published_networks.network_config import preset
 
 SMALL = preset("small")
-TINY_REFERENCE = replace(preset("reference"), image_size=32)
 
 
 def logits_of(units, bins, sharpness=400.0):
@@ -36,20 +33,6 @@ def random_logits(rng, pixels, bins=16):
 
 def random_units(rng, pixels):
     return torch.from_numpy(rng.uniform(0.05, 0.95, (pixels, 3)).astype(np.float32))
-
-
-def all_pixels(images, size):
-    grid = torch.meshgrid(*(torch.arange(n) for n in (images, size, size)), indexing="ij")
-    return torch.stack(grid, dim=-1).reshape(-1, 3)
-
-
-@pytest.mark.parametrize("bins", [16, 64])
-def test_bins_and_back_within_half_a_bin(bins, rng):
-    units = random_units(rng, 500)
-    one_hot = 50.0 * functional.one_hot(bin_of(units, bins), bins).float()
-    found, confidence = coordinates(one_hot)
-    assert (found - units).abs().max() <= 0.5 / bins + 1e-6
-    assert (confidence > 0.999).all()
 
 
 def test_the_mean_of_the_window_is_finer_than_a_bin(rng):
@@ -68,12 +51,6 @@ def test_a_rival_answer_does_not_pull_the_coordinate_but_lowers_the_confidence()
     np.testing.assert_allclose(confidence / certain, expected, atol=5e-3)
 
 
-def test_the_window_ends_at_the_cube():
-    found, confidence = coordinates(60.0 * functional.one_hot(torch.tensor([[0, 8, 15]]), 16))
-    np.testing.assert_allclose(found, [[0.5 / 16, 8.5 / 16, 15.5 / 16]], atol=1e-6)
-    assert (confidence <= 1 + 1e-6).all()
-
-
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
 def test_the_loss_does_not_change_when_the_cloth_is_relabeled(kind, rng):
     signs = torch.from_numpy(symmetries(kind)).float()
@@ -87,18 +64,6 @@ def test_the_loss_does_not_change_when_the_cloth_is_relabeled(kind, rng):
         torch.testing.assert_close(again, plain)
         identity_only = canonical_loss(logits, moved, image, signs[:1], 3)
         assert index == 0 or abs(identity_only - plain) > 1e-3
-
-
-def test_the_labeling_is_chosen_per_picture_not_per_pixel(rng):
-    signs = torch.from_numpy(symmetries("tshirt")).float()
-    units = random_units(rng, 40)
-    half = torch.arange(40) < 20
-    torn = torch.where(half[:, None], units, relabeled(units, signs[1]))
-    logits = logits_of(torn, 64)
-    apart = canonical_loss(logits, units, (~half).long(), signs, 2)
-    together = canonical_loss(logits, units, torch.zeros(40).long(), signs, 1)
-    assert apart < 1.2
-    assert together > 10 * apart
 
 
 def test_the_loss_is_the_cross_entropy_without_symmetry(rng):
@@ -118,52 +83,14 @@ def test_a_picture_without_cloth_does_not_count(rng):
     torch.testing.assert_close(loss, (each[0] + each[2]) / 2)
 
 
-@pytest.mark.parametrize("config", [SMALL, TINY_REFERENCE], ids=["small", "reference"])
-def test_logits_of_chosen_pixels_are_those_of_the_whole_picture(config, rng):
-    network = Canonicaliser(config).eval()
-    depth = torch.from_numpy(rng.uniform(0.4, 0.5, (2, 1, *(config.image_size,) * 2))).float()
-    size = config.output_size
-    with torch.inference_mode():
-        features = network(depth)
-        everywhere = all_pixels(2, size)
-        full = network.logits(features, everywhere).reshape(2, size, size, 3, config.bins)
-        chosen = everywhere[rng.choice(len(everywhere), 200, replace=False)]
-        part = network.logits(features, chosen)
-        dense = functional.conv2d(features, network.bins.weight[:, :, None, None])
-        dense = functional.interpolate(dense, size=(size, size), mode="bilinear")
-        dense = dense + network.bins.bias[:, None, None]
-    torch.testing.assert_close(part, full[tuple(chosen.T)], atol=1e-5, rtol=1e-4)
-    expected = dense.permute(0, 2, 3, 1).reshape(2, size, size, 3, config.bins)
-    torch.testing.assert_close(full, expected, atol=1e-4, rtol=1e-3)
-
-
-@pytest.mark.parametrize("config", [SMALL, TINY_REFERENCE], ids=["small", "reference"])
-def test_a_batch_gives_what_its_pictures_give_alone(config, rng):
-    network = Canonicaliser(config).eval()
-    depth = torch.from_numpy(rng.uniform(0.4, 0.5, (3, 1, *(config.image_size,) * 2))).float()
+def test_a_batch_gives_what_its_pictures_give_alone(rng):
+    network = Canonicaliser(SMALL).eval()
+    depth = torch.from_numpy(rng.uniform(0.4, 0.5, (3, 1, *(SMALL.image_size,) * 2))).float()
     depth[1, :, :, :20] = 0.0
     with torch.inference_mode():
         together = network(depth)
         alone = torch.cat([network(one[None]) for one in depth])
     torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
-
-
-def parameters_of(network):
-    return sum(one.numel() for one in network.parameters())
-
-
-def test_the_reference_has_the_published_number_of_parameters():
-    network = Canonicaliser(TINY_REFERENCE)
-    assert parameters_of(network) / 1e6 == pytest.approx(29.63, abs=0.01)
-    with torch.inference_mode():
-        assert network(torch.rand(2, 1, 32, 32)).shape == (2, 480, 8, 8)
-
-
-def test_the_small_network_is_small():
-    network = Canonicaliser(SMALL)
-    assert 1.0e6 < parameters_of(network) < 2.0e6
-    with torch.inference_mode():
-        assert network(torch.rand(1, 1, 128, 128)).shape == (1, 64, 64, 64)
 
 
 def crumpled_examples(count):

@@ -57,36 +57,6 @@ def test_the_canonical_image_covers_the_cloth_and_nothing_else(untrained, folded
     )
 
 
-def test_a_batch_gives_what_its_pictures_give_alone(untrained, folded_towel):
-    network = untrained["towel"]
-    half = np.where(np.arange(400)[:, None] < 200, folded_towel.depth, 0.0)
-    pictures = [folded_towel.depth, half]
-    views = [crop(one, None, folded_towel.camera, SMALL) for one in pictures]
-    together = network.observe(views)
-    for view, both in zip(views, together, strict=True):
-        (alone,) = network.observe([view])
-        np.testing.assert_allclose(both.seen.canonical, alone.seen.canonical, atol=1e-5)
-        np.testing.assert_allclose(both.seen.confidence, alone.seen.confidence, atol=1e-5)
-        np.testing.assert_allclose(both.alignment.rotation, alone.alignment.rotation, atol=1e-3)
-        torch.testing.assert_close(both.volume, alone.volume, atol=1e-3, rtol=1e-3)
-
-
-def test_a_network_that_has_learned_nothing_finds_no_surface_and_says_so(untrained, folded):
-    (found,) = untrained[folded.kind].reconstruct(
-        [folded.depth], folded.camera, folded.kind, method="implicit"
-    )
-    assert (found.mesh is None) == found.status.startswith("no surface")
-    assert np.isfinite(found.canonical_image).any()
-
-
-def test_before_it_is_trained_the_warp_is_the_aligned_canonical_pose(untrained, folded_towel):
-    network = untrained["towel"]
-    (one,) = network.observe([crop(folded_towel.depth, None, folded_towel.camera, SMALL)])
-    canonical = folded_towel.flat.canonical
-    expected = one.alignment.to_world(canonical)
-    np.testing.assert_allclose(network.carried(one, canonical), expected, atol=1e-6)
-
-
 def test_other_garments_and_counts_are_refused(untrained, folded_towel):
     network = untrained["towel"]
     with pytest.raises(InvalidConfigError, match="weights are for 'towel'"):

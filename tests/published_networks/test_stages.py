@@ -10,14 +10,13 @@ from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
-from clothtrack.reconstruction.training.batches import Subset
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack_lab.published_networks.canonical_frame import canonical_frame
 from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
+from clothtrack_lab.published_networks.completion import observe_pictures
 from clothtrack_lab.published_networks.examples import ExampleConfig, collate
 from clothtrack_lab.published_networks.network_config import NetworkConfig
-from clothtrack_lab.published_networks.observation import observe_pictures
 from clothtrack_lab.published_networks.stages import (
     canonicalisation_stage,
     completion_stage,
@@ -180,25 +179,3 @@ def test_the_loss_does_not_care_which_look_alike_was_drawn(tmp_path, kind):
         with torch.no_grad():
             losses.append([float(first(relabeled)["loss"]), float(second(relabeled)["loss"])])
     np.testing.assert_allclose(losses, [losses[0]] * len(losses), rtol=1e-4)
-
-
-def test_unlabeled_pixels_do_not_train(tmp_path):
-    examples = examples_of(tmp_path, "tshirt", count=2)
-    batch = collate([examples[index, 0] for index in range(2)])
-    stage = canonicalisation_stage(TINY, "tshirt").eval()
-    labeled = batch.labeled.clone()
-    labeled[::3] = False
-    spoiled = batch.unit.clone()
-    spoiled[::3] = 0.99
-    kept = type(batch)(**{**batch.__dict__, "labeled": labeled})
-    changed = type(batch)(**{**batch.__dict__, "labeled": labeled, "unit": spoiled})
-    with torch.no_grad():
-        assert float(stage(kept)["loss"]) == float(stage(changed)["loss"])
-        assert float(stage(kept)["loss"]) != float(stage(batch)["loss"])
-
-
-def test_a_subset_is_some_of_the_examples(tmp_path):
-    examples = examples_of(tmp_path, "towel", count=3)
-    subset = Subset(examples, np.array([2, 0]))
-    assert len(subset) == 2
-    np.testing.assert_array_equal(subset[0, 5].depth, examples[2, 5].depth)

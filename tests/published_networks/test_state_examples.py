@@ -1,11 +1,7 @@
 """Examples of simulated states: picture, labels and points say the same, however turned."""
 
-import pickle
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import torch
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
@@ -14,8 +10,7 @@ from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_store import StateShard, open_states, write_states
 from clothtrack.reconstruction.data.view import crop
-from clothtrack.reconstruction.training.batches import loader
-from clothtrack_lab.published_networks.examples import ExampleConfig, Garment, collate, draw_example
+from clothtrack_lab.published_networks.examples import ExampleConfig, Garment, draw_example
 from clothtrack_lab.published_networks.network_config import NetworkConfig
 from clothtrack_lab.published_networks.rendered_state import render
 from clothtrack_lab.published_networks.state_examples import StateExamples
@@ -74,19 +69,6 @@ def test_pixels_points_and_labels_agree(tmp_path, kind):
         assert np.percentile(way, 95) < 0.015
 
 
-def test_the_picture_shows_the_points(shirts):
-    example = StateExamples([shirts], NETWORK, CONFIG, rendering=PERFECT)[0, 0]
-    assert example.depth.shape == (NETWORK.image_size, NETWORK.image_size)
-    shown = np.zeros((NETWORK.output_size,) * 2, bool)
-    shown[tuple(example.pixels.T)] = True
-    covered = example.depth.reshape(NETWORK.output_size, 2, NETWORK.output_size, 2) > 0
-    np.testing.assert_array_equal(shown, covered.any(axis=(1, 3)))
-    # Image right is world x, image down is world -y.
-    columns, rows = example.pixels[:, 1], example.pixels[:, 0]
-    assert np.corrcoef(columns, example.points[:, 0])[0, 1] > 0.99
-    assert np.corrcoef(rows, example.points[:, 1])[0, 1] < -0.99
-
-
 def drawn_picture(angle=0.0, mirror=False, seed=2):
     mesh = garment("tshirt", vertex_count=600)
     picture = render(crumpled(mesh), mesh, PERFECT, np.random.default_rng(seed))
@@ -108,27 +90,6 @@ def test_a_mirrored_picture_is_the_picture_of_the_mirrored_cloth():
     np.testing.assert_allclose(
         twice.camera.world_from_camera, drawn_picture().camera.world_from_camera, atol=1e-12
     )
-
-
-def test_a_turned_picture_is_the_picture_of_the_turned_cloth():
-    plain, turned = view_of(drawn_picture()), view_of(drawn_picture(angle=np.pi / 2))
-    expected = np.rot90(plain)
-    both = (expected > 0) & (turned > 0)
-    assert both.sum() > 0.98 * (turned > 0).sum()
-    assert np.abs(expected[both] - turned[both]).mean() < 5e-4
-
-
-@pytest.mark.parametrize(("mirror", "angle"), [(True, 0.0), (False, 1.0), (True, 2.0)])
-def test_the_camera_still_sees_its_cloth(mirror, angle):
-    """Camera, picture and vertices are moved together: the measured points lie on the mesh."""
-    picture = drawn_picture(angle, mirror)
-    points = picture.camera.back_project(picture.depth_m, picture.mask)
-    dense = cKDTree(picture.positions)
-    assert dense.query(points)[0].max() < 0.03
-    shown = picture.faces[picture.mask & (picture.depth_m > 0)]
-    corners = garment("tshirt", vertex_count=600).faces[shown]
-    centers = picture.positions[corners].mean(axis=1)
-    assert np.linalg.norm(points - centers, axis=1).max() < 0.03
 
 
 def test_winding_numbers_are_those_of_the_labeled_garment():
@@ -156,26 +117,6 @@ def test_an_example_is_a_function_of_index_epoch_and_seed(shirts):
     assert not np.array_equal(one.depth, other[2, 1].depth)
 
 
-def test_rotations_are_even(shirts):
-    """The label's direction in the picture takes all directions as epochs pass."""
-    examples = StateExamples([shirts], NETWORK, CONFIG, rendering=PERFECT)
-    angles = []
-    for epoch in range(24):
-        example = examples[0, epoch]
-        centerd = example.points[:, :2] - example.points[:, :2].mean(axis=0)
-        along = example.unit[:, 1] - example.unit[:, 1].mean()
-        angles.append(np.arctan2(*(centerd * along[:, None]).sum(axis=0)[::-1]))
-    quarters = np.bincount(((np.array(angles) + np.pi) / (np.pi / 2)).astype(int) % 4, minlength=4)
-    assert (quarters >= 2).all()
-
-
-def test_a_noisy_camera_measures_near_the_cloth(shirts):
-    example = StateExamples([shirts], NETWORK, CONFIG, seed=1)[1, 0]
-    assert 0.5 < example.labeled.mean() <= 1.0
-    gap = cKDTree(example.positions).query(example.points[example.labeled])[0]
-    assert 1e-4 < np.median(gap) < 0.01
-
-
 def test_a_label_far_from_the_mesh_is_cut():
     mesh = garment("towel", vertex_count=600)
     labels = Garment.of(mesh, "towel", CONFIG.winding, seed=0)
@@ -194,47 +135,10 @@ def test_a_label_far_from_the_mesh_is_cut():
     assert (example.unit[~example.labeled] == 0.0).all()
 
 
-def test_states_of_one_episode_are_one_group(shirts):
-    examples = StateExamples([shirts], NETWORK, CONFIG)
-    assert len(examples) == 8
-    assert examples.groups == [(0, 0), (0, 0), (0, 1), (0, 1), (1, 0), (1, 0), (1, 1), (1, 1)]
-
-
 def test_states_of_two_kinds_are_refused(shirts, tmp_path):
     towels = states(tmp_path / "towels", "towel", shards=1)
     with pytest.raises(InvalidConfigError, match="towel, tshirt"):
         StateExamples([shirts, towels], NETWORK)
-
-
-def test_a_batch_keeps_every_pixel_with_its_picture(shirts):
-    examples = [StateExamples([shirts], NETWORK, CONFIG)[index, 0] for index in range(3)]
-    batch = collate(examples)
-    assert batch.depth.shape == (3, 1, NETWORK.image_size, NETWORK.image_size)
-    for index, example in enumerate(examples):
-        own = batch.pixels[:, 0] == index
-        np.testing.assert_array_equal(batch.pixels[own, 1:].numpy(), example.pixels)
-        np.testing.assert_array_equal(batch.unit[own].numpy(), example.unit)
-        np.testing.assert_array_equal(batch.positions[index].numpy(), example.positions)
-
-
-def test_examples_travel_to_other_processes(shirts):
-    """How they travel is tested with the training loop; here, that they arrive whole."""
-    examples = StateExamples([shirts], NETWORK, CONFIG, seed=6)
-    order = [[(0, 0), (3, 1)]]
-    traveled = pickle.loads(pickle.dumps(examples))
-    here, there = (next(iter(loader(one, order, collate))) for one in (examples, traveled))
-    assert torch.equal(here.depth, there.depth)
-    assert torch.equal(here.unit, there.unit)
-
-
-def test_the_labels_of_a_long_towel_are_those_of_a_wide_one():
-    """Which side is called the width must not be something to learn."""
-    wide = garment("towel", vertex_count=300, size_m=(0.3, 0.22))
-    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    long = replace(wide, vertices=wide.vertices @ turn, canonical=wide.canonical @ turn)
-    first, second = (Garment.of(one, "towel", CONFIG.winding, seed=0) for one in (wide, long))
-    np.testing.assert_allclose(second.unit, first.unit, atol=1e-12)
-    np.testing.assert_allclose(second.pool.values, first.pool.values, atol=1e-6)
 
 
 def test_a_state_that_cannot_be_rendered_is_replaced_by_another(tmp_path):

@@ -1,11 +1,8 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.sampling import sample_surface
 from clothtrack_lab.published_networks.canonical_frame import canonical_frame
@@ -109,29 +106,3 @@ def test_an_empty_field_has_no_surface_and_says_so(kind):
     surface = extract_surface(np.zeros(field_grid(frame, SMALL).shape), frame, SMALL)
     assert surface.mesh is None
     assert surface.status.startswith("no surface: winding numbers from 0.00 to 0.00")
-
-
-def test_a_field_that_changes_slowly_has_no_surface(garment_and_field):
-    kind, _, field = garment_and_field
-    surface = extract_surface(gaussian_filter(field, 6.0) * 2, canonical_frame(kind), SMALL)
-    assert surface.mesh is None
-    assert "no surface" in surface.status
-
-
-def test_the_box_of_the_grid_holds_every_garment_of_the_category():
-    for kind in OPENINGS:
-        frame = canonical_frame(kind)
-        for config in (SMALL, replace(SMALL, grid=40)):
-            nodes = field_grid(frame, config).nodes
-            half = np.array(frame.half_m)
-            meters = frame.to_meters(nodes)
-            assert (meters.max(axis=0) > half).all()
-            assert (meters.min(axis=0) < -half).all()
-            assert nodes.min() >= 0
-            assert nodes.max() <= 1
-
-
-def test_an_unknown_category_is_refused():
-    frame = replace(canonical_frame("towel"), kind="sock")
-    with pytest.raises(InvalidConfigError, match="sock"):
-        extract_surface(np.zeros((4, 4, 4)), frame, SMALL)

@@ -47,3 +47,17 @@ def half_folded(mesh, *, at_m=0.0, layer_m=LAYER_M):
     x, y, _ = np.asarray(mesh.vertices, np.float64).T
     over = x > at_m
     return np.column_stack([np.where(over, 2.0 * at_m - x, x), y, layer_m * (1.0 + over)])
+
+
+def waved(mesh, seed, fold=(0.1, 0.4), per_m=(10, 20), height_m=0.015):
+    """The garment turned, in waves, with one side laid over the rest."""
+    rng = np.random.default_rng(seed)
+    x, y, z = np.asarray(mesh.vertices, np.float64).T
+    line = x.min() + rng.uniform(*fold) * np.ptp(x)
+    over = x < line
+    x, z = np.where(over, 2 * line - x, x), z - z.min() + 0.012 * over
+    first, second = rng.uniform(*per_m, 2)
+    z = z + height_m * (1 + np.sin(first * x) * np.cos(second * y)) + 0.002
+    turn = rng.uniform(-np.pi, np.pi)
+    level = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    return np.column_stack([*level, z]).astype(np.float32)

@@ -1,9 +1,6 @@
 """What the network is asked: pictures, cameras, weights, and clear words when they are bad."""
 
 import json
-import tomllib
-from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,12 +8,9 @@ import pytest
 import torch
 import trimesh
 
-import clothtrack
 from clothtrack.cli import command_line as cli
-from clothtrack.errors import InvalidRecordingError, InvalidResultError
-from clothtrack.reconstruction.availability import SHIPPED
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.reconstruction.depth_input import from_depth, from_picture
-from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack_lab.published_networks.model import MeshReconstructor
 from clothtrack_lab.published_networks.network_config import TINY_NETWORK
@@ -41,37 +35,6 @@ def weights(tmp_path):
         path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
     )
     return path
-
-
-def test_the_table_is_found_and_the_cloth_on_it(picture):
-    given = from_picture(picture, focal=150.0)
-    assert given.camera.position[2] == pytest.approx(0.7, abs=1e-6)
-    points = given.camera.back_project(given.depth_m, given.mask)
-    np.testing.assert_allclose(points[:, 2], 0.01, atol=1e-6)
-    np.testing.assert_allclose(np.ptp(points[:, :2], axis=0), 43 * 0.69 / 150, atol=0.005)
-
-
-def test_an_empty_picture_is_refused(tmp_path):
-    path = tmp_path / "empty.png"
-    cv2.imwrite(str(path), np.zeros((20, 30), np.uint16))
-    with pytest.raises(InvalidRecordingError, match="no pixel has a depth"):
-        from_picture(path)
-
-
-def test_a_mask_of_another_size_is_refused(picture, tmp_path):
-    mask = tmp_path / "mask.png"
-    cv2.imwrite(str(mask), np.full((60, 80), 255, np.uint8))
-    with pytest.raises(InvalidRecordingError, match="80 x 60"):
-        from_picture(picture, mask=mask)
-
-
-def test_weights_come_whole_or_not_at_all(weights):
-    assert load_model("towel", weights).network.config == TINY_NETWORK
-    with pytest.raises(InvalidResultError, match="is for 'towel'"):
-        load_model("tshirt", weights)
-    weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(InvalidResultError, match="not a whole"):
-        load_model("towel", weights)
 
 
 def test_a_depth_picture_becomes_a_mesh(picture, weights, tmp_path, capsys):
@@ -110,67 +73,45 @@ def test_a_mesh_is_named_after_its_picture_and_replaces_none_unasked(
     "case",
     [
         ([], "add --garment"),
+        (["--garment", "sofa"], "'sofa'"),
+        (["--garment", "tshirt"], "is for 'towel'"),
         (["--garment", "towel", "--focal", "-1"], "focal is -1"),
         (["--garment", "towel", "--device", "tpu"], "use cpu, cuda"),
         (["--garment", "towel", "--depth-unit", "1.0"], "m away"),
+        (["--garment", "towel", "--depth-unit", "inf"], "depth_unit is inf"),
+        (["--garment", "towel", "--frame", "0"], "--frame: "),
+        (["--garment", "towel", "--output", "mesh.dae"], "choose .obj, .ply, .stl or .glb"),
+        (["--garment", "trousers", "--size", "0.5"], "--size WIDTH LENGTH"),
+        (["--garment", "trousers", "--size", "0.5", "nan"], "the size is 0.5 x nan m"),
     ],
 )
 def test_bad_input_is_one_clear_line(picture, weights, tmp_path, capsys, case):
     words, told = case
     output = tmp_path / "mesh.obj"
     base = ["reconstruct", str(picture), "--weights", str(weights), "--output", str(output)]
-    assert cli.main([*base, *words]) == 1
+    assert cli.main([*base, *words]) in (1, 2)
     said = capsys.readouterr().err
     assert told in said
     assert said.count("\n") == 1
     assert not output.exists()
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [("--mask", "mask.png"), ("--depth-unit", "0.001"), ("--focal", "200"),
-     ("--table-distance", "0.7")],
-)  # fmt: skip
-def test_what_a_recording_says_itself_is_not_told_again(tmp_path, capsys, option, value):
-    words = ["reconstruct", str(tmp_path), "--garment", "towel", option, value]
+@pytest.mark.parametrize("option", ["--mask", "--depth-unit", "--focal", "--table-distance"])
+def test_what_a_recording_says_itself_is_not_told_again(tmp_path, capsys, option):
+    words = ["reconstruct", str(tmp_path), "--garment", "towel", option, "0.7"]
     assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 1
     assert f"{option}: {tmp_path} is a recording" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--frame", "0"], "--frame: "),
-        (["--depth-unit", "inf"], "depth_unit is inf"),
-        (["--output", "mesh.dae"], "choose .obj, .ply, .stl or .glb"),
-    ],
-)
-def test_options_that_mean_nothing_are_refused(picture, weights, capsys, words, told):
-    base = ["reconstruct", str(picture), "--garment", "towel", "--weights", str(weights)]
-    assert cli.main([*base, *words]) == 1
-    said = capsys.readouterr().err
-    assert told in said
-    assert said.count("\n") == 1
-
-
-def test_shipped_weights_are_where_the_package_packs_them():
-    packed = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
-    patterns = packed["tool"]["setuptools"]["package-data"]["clothtrack"]
-    assert str(SHIPPED.relative_to(Path(clothtrack.__file__).parent) / "*") in patterns
-
-
-def test_weights_of_another_preset_are_refused(picture, tmp_path, capsys):
-    path = tmp_path / "towel.safetensors"
-    other = replace(TINY_NETWORK, decoder_hidden=32)
-    save_weights(path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), other, kind="towel")
-    words = ["reconstruct", str(picture), "--garment", "towel", "--weights", str(path)]
-    assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 1
-    assert "another preset" in capsys.readouterr().err
-    assert not (tmp_path / "mesh.obj").exists()
-
-
-def test_a_thin_flat_cloth_without_a_mask_needs_one():
-    depth = np.full((240, 320), 1.0)
-    depth[75:165, 100:220] -= 0.001
+def test_a_picture_that_shows_nothing_is_refused(picture, tmp_path):
+    empty, mask = tmp_path / "empty.png", tmp_path / "mask.png"
+    cv2.imwrite(str(empty), np.zeros((20, 30), np.uint16))
+    with pytest.raises(InvalidRecordingError, match="no pixel has a depth"):
+        from_picture(empty)
+    cv2.imwrite(str(mask), np.full((60, 80), 255, np.uint8))
+    with pytest.raises(InvalidRecordingError, match="80 x 60"):
+        from_picture(picture, mask=mask)
+    thin = np.full((240, 320), 1.0)
+    thin[75:165, 100:220] -= 0.001
     with pytest.raises(InvalidRecordingError, match=r"thin flat cloth needs one: --mask FILE"):
-        from_depth(depth, "thin.png")
+        from_depth(thin, "thin.png")

@@ -1,7 +1,5 @@
 """Which network weights are of, what it needs, and what of it is shipped."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
@@ -13,12 +11,10 @@ from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.model_loading import (
     TOKENS,
-    design_named,
     design_of,
     designs,
     load_model,
 )
-from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 from clothtrack_lab.published_networks.registered import PUBLISHED, SHIPPED
 
@@ -44,39 +40,10 @@ def test_weights_that_no_package_knows_are_refused_by_name(tmp_path, monkeypatch
         design_of(published)
 
 
-def test_the_extra_that_a_design_needs_is_named(monkeypatch):
-    lacking = replace(PUBLISHED, modules=("torch", "no_such_module"))
-    monkeypatch.setattr(model_loading, "designs", lambda: iter((TOKENS, lacking)))
-    weights = load_weights(SHIPPED / "towel.safetensors")
-    for ask in (lambda: design_of(weights), lambda: design_named("small")):
-        with pytest.raises(InvalidConfigError, match=r"no_such_module.*install with: .*published"):
-            ask()
-    # What is not asked for needs nothing.
-    assert design_named("tokens") is TOKENS
-
-
 def test_a_network_that_nobody_has_is_refused_with_those_that_there_are(tmp_path, capsys):
     words = ["pretrain", str(tmp_path), "--output", str(tmp_path / "out"), "--network", "huge"]
     assert cli.main(words) == 1
     assert "choose one of tokens, small, reference" in capsys.readouterr().err
-
-
-def test_the_settings_of_each_network_are_its_own(capsys):
-    assert cli.main(["pretrain", "--show-settings"]) == 0
-    tokens = capsys.readouterr().out
-    assert cli.main(["pretrain", "--show-settings", "--network", "small"]) == 0
-    published = capsys.readouterr().out
-    assert "tokens.high_rate=0.0008" in tokens
-    assert "canonicalisation" not in tokens
-    assert "canonicalisation.epochs=100" in published
-    assert "tokens." not in published
-    assert tokens.count("=") <= 40
-
-
-def test_sizes_are_no_settings_of_a_fine_tuning():
-    assert LearningConfig.preset("finetune").network is None
-    with pytest.raises(InvalidConfigError, match="papier"):
-        LearningConfig.preset("papier")
 
 
 def test_a_missing_extra_is_named_with_its_remedy(monkeypatch):

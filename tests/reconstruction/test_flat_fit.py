@@ -14,7 +14,6 @@ from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
-from clothtrack.tracking.initial_state import FLAT_MISFIT_M
 
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
 ABOVE = np.array([[1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, -1.0, 0.85], [0, 0, 0, 1.0]])
@@ -65,30 +64,6 @@ def test_a_shirt_is_found_whichever_way_it_lies(angle: float) -> None:
     cosine, sine = np.cos(angle), np.sin(angle)
     where = mesh.canonical[:, :2] @ np.array([[cosine, sine], [-sine, cosine]]) + (0.05, -0.02)
     assert np.linalg.norm(mesh.vertices[:, :2] - where, axis=1).max() < 4e-3
-
-
-def test_a_curled_corner_and_a_hole_do_not_shrink_a_towel() -> None:
-    points = laid_out("towel", (0.30, 0.30), 0.0)
-    middle, from_corner = (0.05, -0.02), points[:, :2] - (0.20, 0.13)
-    curled = from_corner.sum(axis=1) > -0.03
-    hole = np.linalg.norm(points[:, :2] - middle, axis=1) < 0.03
-    mesh = flat_fit(recording(ClothDescription("towel")), cloud(points[~curled & ~hole])).mesh
-    np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), (0.30, 0.30), rtol=0.01)
-
-
-def test_the_misfit_tells_a_flat_cloth_from_a_folded_one() -> None:
-    points = laid_out("towel", (0.30, 0.20), 0.0)
-    folded = points[(points[:, 0] < 0.05) | (points[:, 1] < -0.02)]
-    asked = recording(ClothDescription("towel"))
-    assert flat_fit(asked, cloud(points)).misfit_m < 0.2 * FLAT_MISFIT_M
-    assert flat_fit(asked, cloud(folded)).misfit_m > FLAT_MISFIT_M
-
-
-def test_a_stated_size_is_not_fitted() -> None:
-    cloth = ClothDescription("towel", size_m=(0.30, 0.20))
-    points = laid_out("towel", (0.31, 0.21), 0.4)
-    mesh = flat_fit(recording(cloth), cloud(points)).mesh
-    np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), (0.30, 0.20), rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.folding import NEAT, NeatFolds
-from clothtrack.reconstruction.data.layers import Layers, Line, axes_of
+from clothtrack.reconstruction.data.layers import Layers, Line
 from clothtrack.reconstruction.data.wrinkles import wrinkled
 
 THIN_M = 0.001
@@ -58,27 +58,6 @@ def test_a_half_fold_aligns_edges_and_halves_the_area() -> None:
     assert crossings(folded, layers.mesh.faces) == 0
 
 
-def test_careful_half_folds_put_edges_on_edges() -> None:
-    rng = np.random.default_rng(2)
-    for _ in range(4):
-        folds = NeatFolds(towel(), THIN_M)
-        flat = on_table(folds.layers)
-        area = projected_area(flat, folds.layers.mesh.faces)
-        covered = projected_area(folds.half(flat, rng), folds.layers.mesh.faces)
-        assert 0.48 < covered / area < 0.68
-
-
-def test_edges_keep_their_lengths_but_for_those_at_the_crease() -> None:
-    layers = Layers(towel(1000), THIN_M)
-    folded = folded_half(layers)
-    mesh = layers.mesh
-    length = np.linalg.norm(np.diff(folded[mesh.edges], axis=1)[:, 0], axis=1)
-    change = np.abs(length / mesh.edge_lengths - 1.0)
-    near = (np.abs(mesh.vertices[mesh.edges, 0]) < 2.1 * layers.edge_m).any(axis=1)
-    assert change[~near].max() < 0.01
-    assert edge_strain(mesh, folded) < 0.02
-
-
 @pytest.mark.parametrize("make", [towel, sweater])
 def test_whatever_is_done_layers_stay_above_the_table_and_hardly_cross(
     make: Callable[[], ClothMesh],
@@ -95,93 +74,6 @@ def test_whatever_is_done_layers_stay_above_the_table_and_hardly_cross(
         assert done == recipe or recipe in ("fold_sleeves", "fold_top")
         assert crossings(points, mesh.faces) < 0.06 * len(mesh.edges)
         assert edge_strain(mesh, points) < 0.06
-
-
-def test_a_part_of_the_top_is_folded_back_and_nothing_is_torn() -> None:
-    """A half-folded towel shows its inside; only one of its two layers may be folded back."""
-    folds = NeatFolds(towel(), THIN_M)
-    mesh = folds.layers.mesh
-    half = folded_half(folds.layers)
-    lower = mesh.vertices[:, 0] < -2.0 * folds.layers.edge_m
-    found = 0
-    for seed in range(8):
-        folds.layers.creases = Layers(mesh, THIN_M).creases
-        again = folded_half(folds.layers)
-        np.testing.assert_array_equal(again, half)
-        top = folds.top(again, np.random.default_rng(seed))
-        if top is None:
-            continue
-        found += 1
-        np.testing.assert_array_equal(top[lower, :2], half[lower, :2])
-        length = np.linalg.norm(np.diff(top[mesh.edges], axis=1)[:, 0], axis=1)
-        assert (length < 1.8 * mesh.edge_lengths).all()
-        assert edge_strain(mesh, top) < 0.03
-    assert found >= 4
-
-
-def test_cloth_under_other_cloth_is_not_folded_alone() -> None:
-    layers = Layers(towel(), THIN_M)
-    folded = folded_half(layers)
-    part = layers.free_part(folded, Line.at(np.pi, 0.1), np.random.default_rng(0))
-    assert part is not None
-    assert (layers.mesh.vertices[part, 0] > 0.0).all()
-    flat = on_table(Layers(towel(), THIN_M))
-    assert layers.free_part(flat, Line.at(np.pi, 0.1), np.random.default_rng(0)) is None
-
-
-def test_sleeves_are_folded_onto_the_body() -> None:
-    mesh = sweater()
-    width = np.ptp(mesh.vertices[:, 0])
-    for seed in range(4):
-        folds = NeatFolds(mesh, THIN_M)
-        assert folds.has_sleeves
-        points = folds.sleeves(on_table(folds.layers), np.random.default_rng(seed))
-        assert np.ptp(points[:, 0]) < 0.85 * width
-    assert not NeatFolds(towel(), THIN_M).has_sleeves
-
-
-def test_strips_have_up_to_eight_layers_and_a_roll_many() -> None:
-    layers = []
-    for seed in range(6):
-        folds = NeatFolds(towel(), THIN_M)
-        points = folds.strips(on_table(folds.layers), np.random.default_rng(seed))
-        layers.append(folds.layers.most(points))
-    assert min(layers) > 1.5
-    assert max(layers) < 8.5
-    folds = NeatFolds(towel(), 0.003)
-    rolled = folds.roll(on_table(folds.layers), np.random.default_rng(1))
-    assert rolled[:, 2].max() > 0.03
-    assert edge_strain(folds.layers.mesh, rolled) < 0.03
-
-
-def test_a_stack_is_turned_over_whole() -> None:
-    layers = Layers(towel(), THIN_M)
-    folded = folded_half(layers)
-    turned = layers.turned_over(folded)
-    assert turned[:, 2].min() == pytest.approx(0.5 * THIN_M)
-    assert edge_strain(layers.mesh, turned) == pytest.approx(edge_strain(layers.mesh, folded))
-    assert np.ptp(turned, axis=0) == pytest.approx(np.ptp(folded, axis=0))
-
-
-def test_loft_lifts_cloth_at_creases_alone() -> None:
-    layers = Layers(towel(), THIN_M)
-    pressed = folded_half(layers)
-    layers.lay_flat()
-    layers.loft_m = 0.004
-    lofty = folded_half(layers)
-    near = pressed[:, 0] > -2.0 * layers.edge_m
-    far = pressed[:, 0] < -0.12
-    assert lofty[near, 2].max() > pressed[near, 2].max() + 0.002
-    np.testing.assert_allclose(lofty[far, 2], pressed[far, 2], atol=2e-4)
-
-
-def test_the_axes_of_a_turned_towel_are_found() -> None:
-    points = np.array(towel().vertices)
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    points[:, :2] = points[:, :2] @ turn.T
-    angle, sides = axes_of(points)
-    assert (angle - 0.3) % (0.5 * np.pi) == pytest.approx(0.0, abs=1e-6)
-    assert sorted(sides) == pytest.approx([0.4, 0.5])
 
 
 def test_wrinkles_are_a_few_millimeters_and_keep_lengths_and_order() -> None:

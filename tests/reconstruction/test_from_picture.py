@@ -1,7 +1,5 @@
 """Pictures and the meshes that are made of them: clouds, distances, rest poses, front and back."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -11,12 +9,8 @@ from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.first_mesh import front_up, laid_flat
 from clothtrack.reconstruction.from_picture import (
-    NetworkMesh,
-    Reconstruction,
     distance_from_picture,
-    observation_of,
 )
-from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings.recording import Table
 
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
@@ -35,26 +29,12 @@ def picture():
     return DepthInput(np.where(seen, drawn, 0.0), seen, CAMERA, TABLE, "towel")
 
 
-def test_the_cloud_of_a_picture_is_where_it_was_measured(picture):
-    cloud = observation_of(picture)
-    np.testing.assert_allclose(cloud.points[:, 2], 0.1015, atol=1e-4)
-    np.testing.assert_allclose(np.ptp(cloud.points[:, :2], axis=0), (0.2, 0.3), atol=0.012)
-    assert (cloud.hidden["top"] == (picture.depth_m <= 0)).all()
-
-
 def test_a_mesh_above_the_measured_cloth_is_as_far_from_it(picture):
     mesh = garment("towel", vertex_count=300, size_m=(0.2, 0.3))
     for above in (0.0, 0.03):
         there = mesh.with_vertices(mesh.vertices + (0.02, -0.01, 0.1015 + above))
         # The rim of the picture is half a pixel wide of the mesh.
         assert distance_from_picture(there, picture) == pytest.approx(above, abs=5e-4)
-
-
-def test_a_larger_world_has_larger_points(picture):
-    larger = picture.scaled(2.5)
-    points, more = (one.camera.back_project(one.depth_m, one.mask) for one in (picture, larger))
-    np.testing.assert_allclose(more, 2.5 * points, rtol=1e-6)
-    assert larger.table.heights(2.5 * points) == pytest.approx(2.5 * picture.table.heights(points))
 
 
 @pytest.mark.parametrize("over", [False, True])
@@ -90,16 +70,3 @@ def test_of_look_alike_namings_the_one_whose_front_faces_up_is_taken(kind):
     assert np.mean(error < 0.5 * spacing) > 0.95
     # There, too, no two vertices fall together.
     assert mesh.with_vertices(named).edge_lengths.min() > 0.1 * mesh.edge_lengths.min()
-
-
-def test_a_mesh_can_be_sent_to_another_process():
-    mesh = garment("towel", vertex_count=60, size_m=(0.2, 0.3))
-    nothing = SeenPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    image, sure = np.zeros((2, 2, 3), np.float32), np.zeros((2, 2), np.float32)
-    made = Reconstruction(mesh, "template", CAMERA, image, sure, nothing)
-    sent = NetworkMesh(mesh, made, expected_error_m=0.01, opposite=lambda: mesh.vertices)
-    found = pickle.loads(pickle.dumps(sent))
-    assert sent.opposite is not None
-    assert found.opposite is None
-    assert found.expected_error_m == 0.01
-    np.testing.assert_array_equal(found.mesh.vertices, mesh.vertices)

@@ -54,7 +54,9 @@ def strain(flat, vertices):
     return np.abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / flat.edge_lengths - 1.0)
 
 
-def test_a_cloth_folded_in_half_comes_out_as_two_flat_layers(flat, laid, truth):
+def test_a_cloth_folded_in_half_comes_out_as_two_flat_layers(flat, guide, cloth, laid, truth):
+    """Though the blurred places are short by a fifth and off by centimeters."""
+    assert strain(flat, guide.places).mean() > 0.15
     assert strain(flat, laid).mean() < 0.01
     x = flat.canonical[:, 0]
     layers = [laid[x < -0.03], laid[x > 0.03]]
@@ -63,29 +65,7 @@ def test_a_cloth_folded_in_half_comes_out_as_two_flat_layers(flat, laid, truth):
     assert layers[1][:, 2].mean() - layers[0][:, 2].mean() > 0.5 * GAP_M
     assert np.linalg.norm(laid - truth, axis=1).mean() < 0.004
     assert crossings(laid, flat.faces) <= 2
-
-
-def test_the_fit_repairs_what_it_was_told(flat, guide, laid, truth):
-    """Blurred places are short by a fifth and off by centimeters."""
-    assert strain(flat, guide.places).mean() > 0.15
-    off = np.linalg.norm(guide.places - truth, axis=1).mean()
-    assert np.linalg.norm(laid - truth, axis=1).mean() < 0.2 * off
-
-
-def test_all_of_it_lies_where_cloth_was_seen(laid, cloth):
     np.testing.assert_allclose(cloth.confined(laid)[:, :2], laid[:, :2], atol=0.004)
-
-
-def test_a_quick_fit_is_as_long_as_it_should_be(flat, fit, guide, cloth):
-    quick = fit.lay(guide, cloth, (1.0, 3.0, 10.0), layered=False)
-    assert strain(flat, quick).mean() < 0.03
-
-
-def test_what_fits_is_polished_without_being_moved(flat, fit, truth, cloth):
-    polished = fit.polished(truth, cloth, max(SIZE_M))
-    crease = np.abs(flat.canonical[:, 0]) < 0.03
-    assert np.linalg.norm(polished - truth, axis=1)[~crease].max() < 0.004
-    assert strain(flat, polished).mean() < 0.01
 
 
 def test_layers_are_taken_apart_by_their_heights_alone(flat, fit, truth, rng):
@@ -110,14 +90,3 @@ def test_the_opposite_order_lays_the_same_fold_below(flat, fit, guide, cloth):
     assert over[folded, 2].mean() > over[lying, 2].mean() + 0.5 * GAP_M
     assert under[folded, 2].mean() < under[lying, 2].mean() - 0.5 * GAP_M
     assert np.linalg.norm((over - under)[:, :2], axis=1).mean() < 0.01
-
-
-def test_the_upper_layer_is_seen_and_the_lower_one_is_not(flat, fit, truth, cloth):
-    visible = fit.visible(truth, cloth)
-    # Rendered gaps of layers are a millimeter more than what counts as seen.
-    x, y = flat.canonical[:, :2].T
-    inner = (np.abs(y) < 0.12) & (np.abs(x) > 0.04) & (np.abs(x) < 0.18)
-    raised = truth + np.outer(x > 0.0, (0.0, 0.0, 0.003))
-    visible = fit.visible(raised, cloth)
-    assert visible[inner & (x > 0.0)].all()
-    assert not visible[inner & (x < 0.0)].any()

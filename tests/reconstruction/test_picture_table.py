@@ -58,7 +58,7 @@ def tilt_between(one, other):
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 25.0, 35.0, 40.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 25.0, 40.0])
 @pytest.mark.parametrize("masked", [True, False])
 def test_a_tilted_camera_is_placed_over_its_table(tilt_deg, masked, tmp_path):
     view = camera(tilt_deg)
@@ -70,15 +70,11 @@ def test_a_tilted_camera_is_placed_over_its_table(tilt_deg, masked, tmp_path):
     assert seen.camera.position[2] == pytest.approx(view.position[2], abs=1e-6)
     points = seen.camera.back_project(seen.depth_m, seen.mask)
     np.testing.assert_allclose(points[:, 2], CLOTH_M, atol=1e-6)
-    # Its size is the true one: the world is metric and the origin is in the picture's middle.
-    assert np.linalg.norm(np.ptp(points[:, :2], axis=0)) == pytest.approx(
-        SIDE_M * np.sqrt(2), rel=0.45
-    )
     area = cv2.contourArea(cv2.convexHull(points[:, :2].astype(np.float32)))
     assert area == pytest.approx(SIDE_M**2, rel=0.08)
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 25.0, 35.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 35.0])
 def test_noise_steps_and_holes_leave_the_table_where_it_is(tilt_deg, tmp_path):
     view = camera(tilt_deg)
     depth, cloth = picture(view, noise_m=0.002, step_m=0.003, holes=0.3)
@@ -88,40 +84,15 @@ def test_noise_steps_and_holes_leave_the_table_where_it_is(tilt_deg, tmp_path):
     assert seen.camera.position[2] == pytest.approx(view.position[2], abs=0.001)
 
 
-def test_a_mask_that_misses_some_pixels_tilts_nothing(tmp_path):
-    view = camera(5.0)
-    depth, cloth = picture(view)
-    small = cv2.erode(cloth.astype(np.uint8), np.ones((9, 9))) > 0
-    seen = from_depth(depth, "it", mask=mask_file(tmp_path, small), focal=FOCAL)
-    assert tilt_between(seen.camera, view) < 1e-3
-
-
-def test_the_principal_point_is_the_one_that_is_named(tmp_path):
-    point = (140.0, 130.0)
-    view = camera(10.0, principal_point=point)
-    depth, cloth = picture(view)
-    mask = mask_file(tmp_path, cloth)
-    seen = from_depth(depth, "it", mask=mask, focal=FOCAL, principal_point=point)
-    assert tilt_between(seen.camera, view) < 1e-3
-    assert (seen.camera.cx, seen.camera.cy) == point
-    assumed = from_depth(depth, "it", mask=mask, focal=FOCAL)
-    assert tilt_between(assumed.camera, view) > 0.1
-
-
 def test_without_a_table_the_camera_is_assumed_to_look_straight_down(tmp_path):
     depth, cloth = picture(camera(10.0))
+    named = from_depth(depth, "it", focal=FOCAL, table_distance_m=0.95)
+    np.testing.assert_allclose(named.camera.position, (0.0, 0.0, 0.95))
     depth[~cloth] = 0.0
-    seen = from_depth(depth, "it", mask=mask_file(tmp_path, cloth), focal=FOCAL)
-    assert seen.table_source == "assumed"
-    assert seen.table_residual_m is None
-    np.testing.assert_allclose(seen.camera.world_from_camera[2, :3], (0, 0, -1))
-
-
-def test_a_named_distance_means_a_camera_that_looks_straight_down():
-    depth, _ = picture(camera(10.0))
-    seen = from_depth(depth, "it", focal=FOCAL, table_distance_m=0.95)
-    assert seen.table_source == "assumed"
-    np.testing.assert_allclose(seen.camera.position, (0.0, 0.0, 0.95))
+    bare = from_depth(depth, "it", mask=mask_file(tmp_path, cloth), focal=FOCAL)
+    for seen in (named, bare):
+        assert (seen.table_source, seen.table_residual_m) == ("assumed", None)
+        np.testing.assert_allclose(seen.camera.world_from_camera[2, :3], (0, 0, -1))
 
 
 def ball(view):
@@ -141,11 +112,3 @@ def two_tables(view):
 def test_what_shows_no_table_is_refused(scene, told):
     with pytest.raises(InvalidRecordingError, match=f"heap.png: {told}.*--table-distance"):
         from_depth(scene(camera(3.0)), "heap.png", focal=FOCAL)
-
-
-def test_a_larger_world_has_a_larger_residual(tmp_path):
-    depth, cloth = picture(camera(10.0), noise_m=0.002)
-    seen = from_depth(depth, "it", mask=mask_file(tmp_path, cloth), focal=FOCAL)
-    larger = seen.scaled(2.0)
-    assert larger.table_residual_m == 2.0 * seen.table_residual_m
-    assert larger.camera.position[2] == 2.0 * seen.camera.position[2]

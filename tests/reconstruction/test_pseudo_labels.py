@@ -1,8 +1,6 @@
 """Pseudo-labels: projected to what the camera sees, cut where the mesh is far, whole on disk."""
 
 import json
-import logging
-import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +13,7 @@ from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasterizer
-from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
-    LabeledRecording,
     PseudoLabel,
     label_recording,
     projected_faces,
@@ -96,12 +92,6 @@ def labeled(recording):
     return label_recording(source, TOWEL, labels, kind="towel", provenance={"mode": "default"})
 
 
-def test_a_frame_that_is_not_there_is_refused(recording):
-    source, states = recording
-    with pytest.raises(InvalidResultError, match="frame 7"):
-        label_recording(source, TOWEL, [PseudoLabel(7, states[0])], kind="towel")
-
-
 @pytest.fixture
 def tracked(recording):
     """The fold, tracked without a fault."""
@@ -148,11 +138,8 @@ def test_the_verb_leaves_out_what_a_person_rejected(recording, tracked, tmp_path
     assert "fold.review.json: not a review" in capsys.readouterr().err
 
 
-def test_labels_come_back_from_the_disk(recording, tmp_path):
-    written = labeled(recording)
-    path = tmp_path / "fold.labels.npz"
-    write_labels(written, path)
-    found = read_labels(path)
+def test_labels_come_back_from_the_disk(recording, path):
+    written, found = labeled(recording), read_labels(path)
     assert (found.name, found.kind, found.frames) == ("fold", "towel", (0, 1))
     assert found.provenance == {"mode": "default"}
     np.testing.assert_allclose(found.mesh.canonical, TOWEL.canonical, atol=1e-7)
@@ -163,59 +150,57 @@ def test_labels_come_back_from_the_disk(recording, tmp_path):
     np.testing.assert_allclose(after.positions, before.positions, atol=1e-7)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
-def test_truncated_labels_are_refused(recording, tmp_path, share):
-    path = tmp_path / "fold.labels.npz"
-    write_labels(labeled(recording), path)
+def test_a_damaged_file_is_noticed(path):
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(InvalidResultError, match="not whole pseudo-labels"):
-        read_labels(path)
+    place = whole.index(b"depth_m.npy") + 200
+    altered = whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :]
+    for content in (b"", whole[: len(whole) // 2], altered):
+        path.write_bytes(content)
+        with pytest.raises(InvalidResultError, match="not whole"):
+            read_labels(path)
 
 
-def test_a_damaged_chunk_is_noticed(recording, tmp_path):
-    path = tmp_path / "fold.labels.npz"
-    write_labels(labeled(recording), path)
-    content = bytearray(path.read_bytes())
-    place = content.index(b"depth_m.npy") + 200
-    content[place] ^= 0xFF
-    path.write_bytes(content)
-    with pytest.raises(InvalidResultError, match="not whole"):
-        read_labels(path)
-
-
-def test_a_replaced_array_is_noticed_and_labels_without_digests_are_read(
-    recording, tmp_path, caplog
-):
-    path = tmp_path / "fold.labels.npz"
-    write_labels(labeled(recording), path)
+def test_an_array_that_is_gone_is_named_and_labels_from_before_are_read(path):
     with np.load(path) as file:
         arrays = dict(file)
-    moved = arrays["1/positions"].copy()
-    moved[3, 0] += 1e-7
-    np.savez(path, **{**arrays, "1/positions": moved})
-    with pytest.raises(InvalidResultError, match=r"fold\.labels\.npz: .*1/positions is damaged"):
-        read_labels(path)
-    np.savez(path, **{name: arrays[name] for name in arrays if name != "1/positions"})
-    with pytest.raises(InvalidResultError, match="1/positions is missing"):
-        read_labels(path)
-    np.savez(path, **{name.replace("sha256", "sha25v"): arrays[name] for name in arrays})
-    with pytest.raises(InvalidResultError, match="arrays, 2 labels need 10"):
-        read_labels(path)
-    del arrays["sha256"]
+    np.savez(path, **arrays, sha256=np.array("{}"))
+    assert len(read_labels(path).pictures) == 2
+    del arrays["1/positions"]
     np.savez(path, **arrays)
-    with caplog.at_level(logging.INFO):
-        assert len(read_labels(path).pictures) == 2
-    assert "without SHA-256" in caplog.text
-
-
-def test_positions_that_are_no_meters_are_refused(recording, tmp_path):
-    one = labeled(recording)
-    far = replace(one.pictures[0], positions=one.pictures[0].positions + 1e30)
-    path = tmp_path / "fold.labels.npz"
-    write_labels(replace(one, frames=(0,), pictures=(far,)), path)
-    with pytest.raises(InvalidResultError, match="within 100 m"):
+    with pytest.raises(InvalidResultError, match=r"fold\.labels\.npz: .*1/positions"):
         read_labels(path)
+
+
+def test_hostile_labels_run_nothing(tmp_path):
+    target, path = tmp_path / "executed", tmp_path / "bad.labels.npz"
+    with path.open("wb") as file:
+        np.savez(file, document=np.array([Hostile(target)], dtype=object))
+    with pytest.raises(InvalidResultError, match="not whole"):
+        read_labels(path)
+    assert not target.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda one: {"positions": one.positions + 1e30}, "within 100 m"),
+        (lambda one: {"faces": one.faces + 10_000}, "shows face"),
+    ],
+)
+def test_labels_that_do_not_fit_their_mesh_are_refused(recording, path, change, told):
+    one = labeled(recording)
+    wrong = replace(one.pictures[0], **change(one.pictures[0]))
+    write_labels(replace(one, frames=(0,), pictures=(wrong,)), path)
+    with pytest.raises(InvalidResultError, match=told):
+        read_labels(path)
+
+
+@pytest.fixture
+def path(recording, tmp_path):
+    """Labels of the two frames."""
+    file = tmp_path / "fold.labels.npz"
+    write_labels(labeled(recording), file)
+    return file
 
 
 class Hostile:
@@ -224,36 +209,3 @@ class Hostile:
 
     def __reduce__(self):
         return Path.write_text, (Path(self.target), "executed")
-
-
-@pytest.mark.parametrize("wrapped", [False, True])
-def test_hostile_labels_run_nothing(tmp_path, wrapped):
-    target, path = tmp_path / "executed", tmp_path / "bad.labels.npz"
-    if wrapped:
-        with path.open("wb") as file:
-            np.savez(file, document=np.array([Hostile(target)], dtype=object))
-    else:
-        path.write_bytes(pickle.dumps(Hostile(target)))
-    with pytest.raises(InvalidResultError, match="not whole"):
-        read_labels(path)
-    assert not target.exists()
-
-
-def test_labels_that_do_not_fit_their_mesh_are_refused(recording, tmp_path):
-    path = tmp_path / "fold.labels.npz"
-    one = labeled(recording)
-    picture = one.pictures[0]
-    wrong = LabeledPicture(
-        picture.depth_m, picture.mask, CAMERA, picture.faces + 10_000, picture.positions
-    )
-    write_labels(LabeledRecording("fold", "towel", TOWEL, (0,), (wrong,)), path)
-    with pytest.raises(InvalidResultError, match="shows face"):
-        read_labels(path)
-
-
-def test_labels_of_another_version_are_refused(tmp_path):
-    path = tmp_path / "old.labels.npz"
-    document = json.dumps({"format": "clothtrack-pseudo-labels", "version": 99}).encode()
-    np.savez(path, document=np.frombuffer(document, np.uint8))
-    with pytest.raises(InvalidResultError, match="99"):
-        read_labels(path)

@@ -74,14 +74,6 @@ def test_turns_are_tried_until_one_is_enough_and_two_at_least(scored, flat, enou
     assert best.choice.turn_deg == TURNS_DEG[enough_at]
 
 
-def test_where_none_is_enough_the_best_of_all_turns_is_taken(scored, flat):
-    scores = dict(zip(TURNS_DEG, (0.7, 0.5, 0.4, 0.6), strict=True))
-    search = scored(lambda _, turn_deg: scores[turn_deg])
-    assert search.known(KnownGarment.of(flat)).score == pytest.approx(0.4)
-    ranked = [one.turn_deg for one in search.choices]
-    assert ranked == sorted(scores, key=scores.get)
-
-
 def test_the_spread_over_turns_is_the_distance_of_the_farther_answer_up_to_symmetry(scored, flat):
     search = scored(lambda *_: 0.5 * ENOUGH)
     garment = KnownGarment.of(flat)
@@ -96,15 +88,6 @@ def test_the_spread_over_turns_is_the_distance_of_the_farther_answer_up_to_symme
     assert search.spread_over_turns(garment, beside) == pytest.approx(0.1 / max(SIZE_M), rel=1e-3)
     search.tries[1] = replace(search.tries[1], vertices=vertices + (0.2, 0.0, 0.0))
     assert search.spread_over_turns(garment, vertices) == pytest.approx(0.2 / max(SIZE_M), rel=0.2)
-
-
-def test_of_a_garment_and_a_turn_only_the_best_is_reported(scored, flat):
-    values = iter((0.5, 0.3, 0.4))
-    search = scored(lambda *_: next(values))
-    garment = KnownGarment.of(flat)
-    for _ in range(3):
-        search.tried(garment)
-    assert [one.explanation.score for one in search.choices] == pytest.approx([0.3])
 
 
 def bowl(cut, size_m, weights=(1.0, 0.3)):
@@ -134,28 +117,6 @@ def test_the_size_that_explains_best_is_found(scored, case):
     np.testing.assert_allclose(found.size_m, wanted, rtol=1e-6)
     # No size is asked twice as often as there are steps to it.
     assert len(search.tries) < 40
-
-
-def test_a_towel_is_never_longer_than_wide(scored):
-    """Which side is the width is convention: beyond a square its sides would change their names."""
-    search = scored(lambda garment, _: garment.size_m[0] / garment.size_m[1] + 1.0)
-    found = search.unknown("towel")
-    assert found.size_m[0] == pytest.approx(found.size_m[1])
-    assert all(one.choice.size_m[1] <= one.choice.size_m[0] * (1.0 + 1e-6) for one in search.tries)
-
-
-def test_an_answer_turned_and_back_is_the_same(answer):
-    there = answer.turned(0.7)
-    back = there.turned(-0.7)
-    np.testing.assert_allclose(back.places, answer.places, atol=1e-12)
-    np.testing.assert_allclose(back.seen.points, answer.seen.points, atol=1e-12)
-    np.testing.assert_allclose(
-        back.view.camera.world_from_camera, answer.view.camera.world_from_camera, atol=1e-12
-    )
-    np.testing.assert_array_equal(back.guide.spread_m, answer.guide.spread_m)
-    cosine, sine = np.cos(0.7), np.sin(0.7)
-    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(there.guide.places, answer.guide.places @ turn.T, atol=1e-6)
 
 
 @pytest.fixture(scope="module")

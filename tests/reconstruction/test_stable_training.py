@@ -90,23 +90,6 @@ def test_what_is_kept_is_the_average_of_the_weights(line, tmp_path):
     assert differs
 
 
-def test_the_average_is_nearer_than_the_weights_at_a_high_rate(line, tmp_path):
-    rates = {"high_rate": 0.05, "average_examples": 400, "evaluate_examples": 2000}
-    with pytest.raises(EnoughError):
-        learn(line, tmp_path, until=500, **rates)
-    progress = load_progress(tmp_path / PROGRESS)
-    batch = line.line_batch([line.LineExamples(200, seed=5)[k, 0] for k in range(200)])
-
-    def error(part):
-        measured = line.LineStage(dropout=0.0)
-        measured.trained.load_state_dict(progress[part])
-        measured.eval()
-        with torch.no_grad():
-            return float(measured.measure(batch)["error"].mean())
-
-    assert error("average") < 0.9 * error("weights")
-
-
 def test_other_examples_begin_another_phase(line, tmp_path):
     with pytest.raises(EnoughError):
         learn(line, tmp_path, until=25)
@@ -132,12 +115,6 @@ def test_time_that_is_over_pauses_and_fall_ends_the_run(line, tmp_path):
     assert (ended.status, ended.steps) == ("finished", 51)
     with pytest.raises(InvalidConfigError, match="falls since step 1; give the fall_examples"):
         learn(line, tmp_path, hours=1e-9)
-
-
-def test_another_rate_is_refused(line, tmp_path):
-    learn(line, tmp_path, hours=1e-9)
-    with pytest.raises(InvalidConfigError, match=r"training\.high_rate"):
-        learn(line, tmp_path, hours=1e-9, high_rate=1e-3)
 
 
 def test_a_training_that_nothing_ends_is_refused(tmp_path, capsys):

@@ -1,12 +1,6 @@
 """Crumpled states: sound cloth, the same from the same seed, whole after whatever interrupts."""
 
-import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
@@ -19,15 +13,10 @@ from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.files.atomic_write import hidden_name
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data import states
-from clothtrack.reconstruction.data.crumpling import Crumpler
-from clothtrack.reconstruction.data.folding import NEAT
-from clothtrack.reconstruction.data.garment_draws import (
-    ClothRanges,
-    GarmentRanges,
-    draw_garment,
-)
+from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
 from clothtrack.reconstruction.data.states import (
@@ -36,6 +25,8 @@ from clothtrack.reconstruction.data.states import (
     make_shard,
 )
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+
+SOFT = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
 
 CRUMPLING = CrumplingConfig(states=2, rest_limit_s=0.3)
 TINY = StatesConfig(vertex_count=120, episodes=2, crumpling=CRUMPLING)
@@ -64,25 +55,7 @@ def leftovers(folder: Path) -> list[Path]:
 
 
 def left_by_a_dead_process(folder: Path, name: str) -> None:
-    with subprocess.Popen(["true"]) as dead:
-        dead.wait()
-    (folder / hidden_name(name).replace(f"-{os.getpid()}-", f"-{dead.pid}-")).mkdir()
-
-
-def only(recipe: str, **changes: object) -> CrumplingConfig:
-    follow = {"pick_and_place": 1.0}
-    return CrumplingConfig(
-        **{"states": 1, "shares": {recipe: 1.0}, "next_shares": follow, **changes}
-    )
-
-
-def one_state(kind: str, crumpling: CrumplingConfig, seed: int = 0) -> tuple[Crumpler, np.ndarray]:
-    mesh = garment(kind, vertex_count=300, pattern="random")
-    crumpler = Crumpler(mesh, crumpling, SolverConfig(edge_contact=False, damping=4.0))
-    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
-    (state,) = crumpler.episode(softness, np.random.default_rng(seed))
-    assert not state.exploded
-    return crumpler, state.positions
+    (folder / hidden_name(name)).mkdir()
 
 
 def test_there_are_at_least_as_many_as_asked_in_whole_shards(made: Path) -> None:
@@ -140,76 +113,15 @@ def test_a_finished_shard_is_kept_and_a_broken_one_made_again(copy: Path) -> Non
 
 def test_states_of_another_kind_are_not_mixed_in(copy: Path) -> None:
     before = bytes_of(copy)
-    other = replace(TINY, vertex_count=130)
-    for kind, seed, config, told in (
-        ("tshirt", 3, TINY, "kind"),
-        ("towel", 4, TINY, "seed"),
-        ("towel", 3, other, "config"),
-    ):
-        with pytest.raises(InvalidConfigError, match=f"another {told}"):
-            generate_states(copy, kind, 8, seed=seed, config=config)
+    wrong = {"kind": "tshirt", "seed": 4, "config": replace(TINY, vertex_count=130)}
+    for name, value in wrong.items():
+        asked = {"kind": "towel", "seed": 3, "config": TINY, name: value}
+        with pytest.raises(InvalidConfigError, match=f"another {name}"):
+            generate_states(copy, states=8, **asked)
     (copy / "states.json").unlink()
     with pytest.raises(InvalidConfigError, match=r"states\.json"):
         generate_states(copy, "towel", 8, seed=3, config=TINY)
     assert bytes_of(copy) == before
-
-
-@pytest.mark.slow
-def test_at_least_two_in_five_states_are_neat_folds() -> None:
-    config = StatesConfig(vertex_count=500, episodes=10)
-    for kind in ("towel", "trousers"):
-        recipes = [one for k in range(3) for one in make_shard(kind, k, 1, config).recipes]
-        assert np.mean([recipe in NEAT for recipe in recipes]) > 0.4
-        assert len(set(recipes) & set(NEAT)) >= 5
-
-
-def test_a_pressed_stack_stays_one_until_the_end() -> None:
-    following = {"fold_half": 0.3, "fold_top": 0.3, "fold_corner": 0.2, "pick_and_place": 0.2}
-    config = CrumplingConfig(shares={"fold_half": 1.0}, after_fold=following, pressed=1.0)
-    mesh = garment("towel", vertex_count=400, pattern="random")
-    crumpler = Crumpler(
-        mesh, config, SolverConfig(edge_contact=False, damping=4.0), thickness_m=0.001
-    )
-    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
-    for seed in range(2):
-        states = list(crumpler.episode(softness, np.random.default_rng(seed)))
-        assert len(states) == 5 or states[-1].exploded
-        assert all(state.recipe in NEAT for state in states)
-        layers = 1.0 / projected_area(states[0].positions, mesh.faces)
-        assert layers * projected_area(mesh.vertices, mesh.faces) == pytest.approx(1.9, abs=0.2)
-
-
-def test_thin_cloth_that_lies_flat_is_as_low_as_it_is_thin() -> None:
-    for thickness_m in (0.0006, 0.004):
-        cloth = ClothRanges(thickness_m=(thickness_m, thickness_m))
-        crumpling = only("flat", wrinkled=0.0)
-        config = StatesConfig(vertex_count=150, episodes=2, cloth=cloth, crumpling=crumpling)
-        shard = make_shard("towel", 0, 2, config)
-        assert np.median(shard.positions[..., 2]) == pytest.approx(0.5 * thickness_m, rel=0.05)
-
-
-def test_garments_of_every_cut_are_drawn() -> None:
-    robes = GarmentRanges(robes=1.0, open_robes=1.0)
-    assert np.ptp(draw_garment("tshirt", robes, 300, np.random.default_rng(0)).vertices[:, 1]) > 0.7
-    for kind, low, high in (("towel", 0.2, 2.0), ("tshirt", 0.3, 2.5), ("trousers", 0.2, 1.5)):
-        sizes = []
-        for number in range(5):
-            rng = np.random.default_rng(number)
-            mesh = draw_garment(kind, GarmentRanges(), 150, rng)
-            sizes.append(np.ptp(mesh.vertices[:, :2], axis=0).max())
-        assert low <= min(sizes) < max(sizes) <= high
-
-
-def test_the_card_tells_what_lies_there(made: Path) -> None:
-    card = (made / "README.md").read_text()
-    document = json.loads((made / "states.json").read_text())
-    assert "8 states in " in card
-    assert "of 2 garments" in card
-    assert "Settled:" in card
-    assert "per CPU-hour" in card
-    assert sum(entry["cpu_s"] for entry in document["shards"].values()) > 0.0
-    rows = [line.split("|") for line in card.splitlines() if line.endswith("% |")]
-    assert sum(int(row[2]) for row in rows) == 8
 
 
 def test_what_is_not_sound_is_left_out_until_nothing_is_left(tmp_path: Path) -> None:
@@ -237,20 +149,10 @@ def test_a_garment_that_comes_to_nothing_is_exchanged_for_another(monkeypatch, c
     assert "another garment is drawn" in caplog.text
 
 
-def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:
-    crumpler, flat = one_state("towel", only("flat"))
-    size = np.ptp(crumpler.mesh.vertices[:, :2], axis=0)
-    assert np.ptp(flat[:, :2], axis=0) == pytest.approx(size, rel=0.15)
-    assert flat[:, 2].max() < 0.02
-    _, dropped = one_state("towel", only("drop"))
-    assert dropped[:, 2].max() > 0.02
-    assert projected_area(dropped, crumpler.mesh.faces) < 0.9 * size.prod()
-
-
 def test_a_fold_halves_a_towel_and_keeps_its_layers_in_order() -> None:
     for seed in range(2):
-        crumpler, folded = one_state("towel", only("fold", pressed=0.0), seed)
-        mesh = crumpler.mesh
+        mesh, (state,) = episode("fold", seed, pressed=0.0)
+        folded = state.positions
         covered = projected_area(folded, mesh.faces) / projected_area(mesh.vertices, mesh.faces)
         assert 0.45 < covered < 0.93
         assert np.median(folded[:, 2]) < 0.015
@@ -258,105 +160,15 @@ def test_a_fold_halves_a_towel_and_keeps_its_layers_in_order() -> None:
         assert edge_strain(mesh, folded) < 0.01
 
 
-def test_a_shirt_is_folded_further_and_further() -> None:
-    mesh = garment("tshirt", vertex_count=500)
-    crumpling = only("fold", states=2, after_fold={"fold": 1.0}, pressed=1.0)
-    crumpler = Crumpler(
-        mesh, crumpling, SolverConfig(edge_contact=False, damping=4.0), thickness_m=0.001
-    )
-    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
-    for seed in range(2):
-        folded = list(crumpler.episode(softness, np.random.default_rng(seed)))
-        assert [state.recipe for state in folded] == ["fold"] * 2
-        areas = [projected_area(state.positions, mesh.faces) for state in folded]
-        assert projected_area(mesh.vertices, mesh.faces) > areas[0] > areas[1]
-
-
 def test_held_cloth_hangs_in_the_air_and_falls_when_it_is_let_go() -> None:
-    mesh = garment("towel", vertex_count=300, pattern="random")
-    crumpler = Crumpler(mesh, only("held", states=2), SolverConfig(edge_contact=False, damping=4.0))
-    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
     heights = []
-    for seed in range(3):
-        held, released = crumpler.episode(softness, np.random.default_rng(seed))
+    for seed in range(2):
+        _, (held, released) = episode("held", seed, states=2)
         assert (held.recipe, released.recipe) == ("held", "release")
         top = int(held.positions[:, 2].argmax())
         heights.append(held.positions[top, 2])
         assert released.positions[top, 2] < 0.6 * held.positions[top, 2] + 0.03
     assert max(heights) > 0.2
-
-
-def test_a_push_moves_cloth_over_the_table_and_wrinkles_it() -> None:
-    moved = []
-    for seed in range(2):
-        crumpler, pushed = one_state("towel", only("push", turned_over=0.0), seed)
-        moved.append(np.linalg.norm((pushed - crumpler.mesh.vertices)[:, :2], axis=1).max())
-        assert pushed[:, 2].min() > 0.0
-    assert min(moved) > 0.02
-
-
-@pytest.mark.slow
-def test_pulling_opens_a_heap() -> None:
-    mesh = garment("towel", vertex_count=300, pattern="random")
-    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
-    config = replace(only("drop", states=4, folded=0.0, middle=0.0, pulled=1.0), two_pickers=0.0)
-    crumpler = Crumpler(mesh, config, SolverConfig(edge_contact=False, damping=4.0))
-    covered = np.array(
-        [
-            [projected_area(state.positions, mesh.faces)
-             for state in crumpler.episode(softness, np.random.default_rng(seed))]
-            for seed in range(20)
-        ]
-    )  # fmt: skip
-    assert covered[:, -1].mean() > 1.1 * covered[:, 0].mean()
-
-
-def test_shares_of_pick_and_places_that_cannot_be_are_refused() -> None:
-    for shares in ({"pulled": 0.8}, {"middle": -0.1}):
-        (name,) = shares
-        with pytest.raises(InvalidConfigError, match=f"crumpling.{name}"):
-            StatesConfig(crumpling=CrumplingConfig(**shares))
-
-
-def test_a_garment_may_lie_with_either_side_up() -> None:
-    for turned_over in (0.0, 1.0):
-        crumpler, flat = one_state("tshirt", only("flat", turned_over=turned_over))
-        front = crumpler.mesh.canonical[:, 2] > 0.01
-        back = crumpler.mesh.canonical[:, 2] < -0.01
-        gap = flat[front, 2].mean() - flat[back, 2].mean()
-        assert gap * (1.0 - 2.0 * turned_over) > 0.001
-
-
-@pytest.mark.slow
-def test_an_interrupt_leaves_nothing_half_written_and_can_go_on(tmp_path: Path) -> None:
-    out, script = tmp_path / "states", tmp_path / "script.py"
-    words = ["simulate", str(out), "--states", "400", "--workers", "2",
-             "--set", "vertex_count=120", "--set", "episodes=2"]  # fmt: skip
-    # Whatever was started in the background of a shell ignores interrupts, and so do its children.
-    script.write_text(
-        "import signal\n"
-        "from clothtrack.cli.command_line import main\n"
-        "if __name__ == '__main__':\n"
-        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        f"    raise SystemExit(main({words!r}))\n"
-    )
-    with subprocess.Popen([sys.executable, str(script)], stderr=subprocess.PIPE, text=True) as run:
-        try:
-            while not list(out.glob("shards/[0-9]*.zarr")):
-                assert run.poll() is None, run.stderr.read()
-                time.sleep(0.05)
-            run.send_signal(signal.SIGINT)
-            _, told = run.communicate(timeout=100)
-        finally:
-            run.kill()
-    assert run.returncode == 130
-    assert "interrupted" in told
-    assert "Traceback" not in told
-    found = open_states(out)
-    assert 1 <= len(found.shards) < 40
-    assert not leftovers(out)
-    for path in found.shards:
-        read_shard(path)
 
 
 @pytest.mark.slow
@@ -393,35 +205,31 @@ def test_the_verb_makes_states(
     assert 100 < shard.mesh.vertex_count < 200
 
 
-def test_trousers_are_not_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["simulate", str(tmp_path / "out"), "--garment", "trousers"]) == 2
-    assert "--states" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("words", [["--trajectories", "1"], ["--actions", "3"]])
-def test_states_are_not_filmed(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["simulate", str(tmp_path / "out"), "--states", "5", *words]) == 2
-    assert "--states records nothing; leave" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_towel_is_at_least_as_wide_as_long() -> None:
-    for number in range(8):
-        mesh = draw_garment("towel", TINY.garments, 120, np.random.default_rng(number))
-        width, length, _ = np.ptp(mesh.vertices, axis=0)
-        assert width >= length
-
-
+@pytest.mark.parametrize(
+    ("words", "told", "status"),
+    [
+        (["--garment", "trousers"], "--states", 2),
+        (["--states", "5", "--trajectories", "1"], "--states records nothing; leave", 2),
+        (["--states", "5", "--actions", "3"], "--states records nothing; leave", 2),
+        (["--states", "5", "--garment", "sock"], "sock", 2),
+        (["--states", "0"], "states", 1),
+        (["--states", "5", "--set", "episodes=0"], "episodes", 1),
+        (["--states", "5", "--workers", "0"], "workers", 1),
+    ],
+)
 def test_wrong_words_on_the_command_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], told: str, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for words in (["--states", "0"], ["--states", "5", "--set", "episodes=0"],
-                  ["--states", "5", "--workers", "0"]):  # fmt: skip
-        assert cli.main(["simulate", str(tmp_path / "out"), *words]) == 1
-        assert capsys.readouterr().err.count("\n") == 1
+    assert cli.main(["simulate", str(tmp_path / "out"), *words]) == status
+    assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    words = ["simulate", str(tmp_path / "out"), "--states", "5", "--garment", "sock"]
-    assert cli.main(words) == 2
+
+
+def episode(recipe: str, seed: int = 0, **changes: object) -> tuple[ClothMesh, list[CrumpledState]]:
+    """Return the states of an episode that begins with a recipe, and the towel."""
+    crumpling = CrumplingConfig(
+        **{"states": 1, "shares": {recipe: 1.0}, "next_shares": {"pick_and_place": 1.0}, **changes}
+    )
+    mesh = garment("towel", vertex_count=300, pattern="random")
+    crumpler = Crumpler(mesh, crumpling, SolverConfig(edge_contact=False, damping=4.0))
+    return mesh, list(crumpler.episode(SOFT, np.random.default_rng(seed)))

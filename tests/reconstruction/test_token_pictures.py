@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import ks_2samp
+from seen_above import waved
 
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
@@ -30,19 +31,6 @@ MESHES = [
 STATES = 16
 
 
-def folded(mesh, seed):
-    """The garment turned, in waves, with one side laid over the rest."""
-    rng = np.random.default_rng(seed)
-    x, y, z = np.asarray(mesh.vertices, np.float64).T
-    line = x.min() + rng.uniform(0.1, 0.4) * np.ptp(x)
-    over = x < line
-    x, z = np.where(over, 2 * line - x, x), z - z.min() + 0.012 * over
-    z = z + 0.015 * (1 + np.sin(rng.uniform(10, 20) * x) * np.cos(rng.uniform(10, 20) * y)) + 0.002
-    turn = rng.uniform(-np.pi, np.pi)
-    level = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
-    return np.column_stack([*level, z])
-
-
 @pytest.fixture(scope="module")
 def tokens():
     return [GarmentTokens.of(mesh) for mesh in MESHES]
@@ -51,7 +39,7 @@ def tokens():
 @pytest.fixture(scope="module")
 def shapes():
     return [
-        np.stack([folded(mesh, 100 * number + one) for one in range(STATES)]).astype(np.float32)
+        np.stack([waved(mesh, 100 * number + one) for one in range(STATES)])
         for number, mesh in enumerate(MESHES)
     ]
 
@@ -66,20 +54,6 @@ def states(shapes):
             for number, (mesh, each) in enumerate(zip(MESHES, shapes, strict=True))
         ]
     )
-
-
-def test_a_garment_keeps_its_states_and_faces(states, shapes, tokens):
-    assert len(states) == len(MESHES) * STATES
-    for number in range(len(states)):
-        kind, state = divmod(number, STATES)
-        begin = int(states.first[number])
-        found = states.positions[begin : begin + len(shapes[kind][state])]
-        np.testing.assert_array_equal(found, shapes[kind][state])
-        assert int(states.garment[number]) == kind
-    faces = np.split(states.corners.numpy(), np.cumsum(states.faces.numpy())[:-1])
-    np.testing.assert_array_equal(faces[1], MESHES[1].faces)
-    last = int(states.vertices[-1])
-    np.testing.assert_array_equal(states.vertex_shares[-last:], tokens[2].vertex_shares)
 
 
 def own_place(batch):
@@ -114,39 +88,6 @@ def test_names_places_and_pictures_say_the_same(states):
     assert bool((batch.weight == 1.0).all())
     for one in fields(TokenBatch):
         assert len(getattr(batch, one.name)) == 48
-
-
-def test_a_mirrored_garment_is_named_by_its_mirror(states):
-    """A state has two shapes, its own and its mirror image with the names of the mirror."""
-    pictures = TokenPictures(states, NETWORK, rendering=PERFECT)
-    places = pictures.batch(torch.full((24,), 2 * STATES + 3), (1,)).places
-    mirror = states.mirror[2]
-    gaps = torch.cdist(places, places)
-    # Distances between tokens do not change by turning, and in a mirror neither.
-    gaps = gaps / gaps.mean((1, 2), keepdim=True)
-    first = (gaps - gaps[0]).abs().mean((1, 2)) < 1e-3
-    other = (gaps[:, mirror][:, :, mirror] - gaps[0]).abs().mean((1, 2)) < 1e-3
-    assert bool((first ^ other).all())
-    assert 4 < int(first.sum()) < 20
-    # Three tokens come the other way round there.
-    ways = []
-    for kind, names in ((first, torch.arange(256)), (other, mirror)):
-        a, b, c = (places[kind][:, names[one], :2] for one in (0, 40, 100))
-        area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-        assert area.abs().min() > 1e-4
-        ways.append(set(area.sign().tolist()))
-    assert ways in ([{1.0}, {-1.0}], [{-1.0}, {1.0}])
-
-
-def test_a_batch_is_a_function_of_states_seed_and_step(states):
-    pictures = TokenPictures(states, NETWORK, seed=3)
-    chosen = torch.tensor([5, 40, 20])
-    first, again, other = (pictures.batch(chosen, step) for step in ((7, 1), (7, 1), (7, 2)))
-    for one in fields(TokenBatch):
-        assert torch.equal(getattr(first, one.name), getattr(again, one.name)), one.name
-    assert not torch.equal(first.height, other.height)
-    reseeded = TokenPictures(states, NETWORK, seed=4).batch(chosen, (7, 1))
-    assert not torch.equal(first.height, reseeded.height)
 
 
 def summary(batch):
@@ -230,15 +171,3 @@ def test_a_gpu_sees_what_a_processor_sees(states):
     torch.testing.assert_close(found.places, here.places, atol=1e-3, rtol=0)
     apart = (named_place(found) - own_place(found)).norm(dim=2)
     assert apart.median() < 0.025
-
-
-@pytest.mark.gpu
-def test_a_gpu_measures_as_badly_as_a_processor(states):
-    chosen = torch.arange(48).repeat(8)
-    here, there = (
-        TokenPictures(states, NETWORK, device=device).batch(chosen, (0,))
-        for device in ("cpu", "cuda")
-    )
-    found = replace(there, **{one.name: getattr(there, one.name).cpu() for one in fields(there)})
-    gap = summary(found) - summary(here)
-    assert (gap.mean(0).abs() < 4.0 * gap.std(0) / len(gap) ** 0.5 + 1e-6).all()

@@ -19,20 +19,16 @@ from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_store import open_states
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
-from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.tokens.garment_tokens import TOKENS, GarmentTokens
 from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_examples import (
     LabeledTokenExamples,
     token_example,
-    with_parts_missing,
 )
 from clothtrack.reconstruction.tokens.token_network import (
     EMPTY,
-    TokenInput,
     TokenNetwork,
     TokenNetworkConfig,
-    TokenOutput,
 )
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 from clothtrack.reconstruction.tokens.token_stage import (
@@ -46,7 +42,6 @@ from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_log import read_scalars
-from clothtrack.recordings.recording import Table
 from clothtrack_lab.published_networks.registered import SHIPPED
 from clothtrack_lab.published_networks.rendered_state import render
 
@@ -86,20 +81,6 @@ def told(request: pytest.FixtureRequest) -> tuple[str, ClothMesh, GarmentTokens]
 @cache
 def tokens_of(name: str) -> GarmentTokens:
     return GarmentTokens.of(meshes()[name])
-
-
-@pytest.mark.parametrize("name", ["square", "cardigan"])
-def test_a_larger_garment_is_told_alike(name: str) -> None:
-    mesh, tokens = meshes()[name], tokens_of(name)
-    anew, scaled = GarmentTokens.of(mesh.scaled(1.5)), tokens.scaled(1.5)
-    assert anew.size_m == pytest.approx(scaled.size_m)
-    # Of equally far points either may be the next token, so that two may change their numbers.
-    first, second = (np.lexsort(np.round(one.canonical, 4).T) for one in (anew, scaled))
-    np.testing.assert_allclose(anew.canonical[first], scaled.canonical[second], atol=1e-5)
-    np.testing.assert_allclose(anew.features[first], scaled.features[second], atol=2e-5)
-    # Of equally near tokens either may be taken, so that shares differ and what they say does not.
-    said, wanted = anew.at_vertices(anew.canonical), scaled.at_vertices(scaled.canonical)
-    assert np.linalg.norm(said - wanted, axis=1).mean() < 1e-3 * anew.size_m
 
 
 def example(mesh: ClothMesh, tokens: GarmentTokens, seed: int) -> TokenExample:
@@ -164,44 +145,6 @@ def test_an_outline_has_its_own_symmetries(
     assert mirrored == (tokens.mirror != np.arange(TOKENS)).any()
 
 
-def test_the_halves_of_an_open_front_are_not_neighbors() -> None:
-    tokens = GarmentTokens.of(meshes()["cardigan"])
-    front, x = tokens.features[:, 2] > 0.0, tokens.canonical[:, 0]
-    for side in (x > 0.01, x < -0.01):
-        near = tokens.neighbors[front & side]
-        assert (x[near] * np.sign(x[front & side])[:, None] > -1e-6).all()
-
-
-def test_neighbors_are_neighbors_through_the_cloth() -> None:
-    mesh = shirt(replace(LONG_SLEEVES, sleeve_angle_rad=1.05), 0.6, vertex_count=1500)
-    tokens = GarmentTokens.of(mesh)
-    body = np.abs(tokens.canonical[:, 0]) < 0.3 * 0.74 * 0.6
-    low = tokens.canonical[:, 1] < 0.0
-    cuff = np.abs(tokens.canonical[:, 0]) > 0.55 * np.abs(tokens.canonical[:, 0]).max()
-    assert (cuff & low).any()
-    near = tokens.neighbors[cuff & low]
-    assert not (body & low)[near].any()
-    np.testing.assert_array_equal(tokens.neighbors[:, 0], np.arange(TOKENS))
-
-
-def test_pixels_are_named_by_the_tokens_around_what_they_show(told) -> None:
-    _, mesh, tokens = told
-    for seed in range(4):
-        drawn = example(mesh, tokens, seed)
-        rows, columns = drawn.pixels.T
-        stride = TINY.output_stride
-        block = drawn.height.reshape(64, stride, 64, stride).max(axis=(1, 3))
-        height = block[rows, columns]
-        named = (drawn.places[drawn.pixel_tokens] * drawn.pixel_shares[..., None]).sum(axis=1)
-        # The pixel's own place, from its column, row and height.
-        tick = np.tan(np.radians(22.5)) / 64.0
-        x = (stride * (columns + 0.5) - 64.0) * tick * (drawn.distance - height)
-        y = -(stride * (rows + 0.5) - 64.0) * tick * (drawn.distance - height)
-        apart = np.linalg.norm(named - np.column_stack([x, y, height]), axis=1)
-        assert np.median(apart) < 0.025
-        assert np.percentile(apart, 95) < 0.06
-
-
 def test_the_network_answers_each_picture_by_itself(told) -> None:
     _, mesh, tokens = told
     torch.manual_seed(0)
@@ -233,50 +176,6 @@ def test_the_loss_does_not_ask_which_of_two_look_alikes_it_is(told) -> None:
             first, second = (stage.measure(collate_tokens([one])) for one in (drawn, other))
         for part, value in first.items():
             torch.testing.assert_close(value, second[part], atol=tolerance, rtol=tolerance)
-
-
-class _PlacesOfPixels(TokenNetwork):
-    """Answers with the places of the pixels that it is asked about, each as a token of its own."""
-
-    def __init__(self) -> None:
-        super().__init__(TINY)
-
-    def forward(self, asked: TokenInput) -> TokenOutput:
-        logits, answers = [], []
-        for height, distance, pixels in zip(
-            asked.height, asked.distance, asked.pixels, strict=True
-        ):
-            rows, columns = pixels[:TOKENS].T
-            high = height.view(64, 2, 64, 2).amax((1, 3))[rows, columns]
-            middle = self.ticks.view(64, 2).mean(1)
-            x = middle[columns] * (distance - high)
-            y = -middle[rows] * (distance - high)
-            answers.append(torch.stack([x, y, high, x * 0 - 3.0, x * 0 - 3.0], 1))
-            logits.append(torch.eye(len(pixels), TOKENS) * 50.0)
-        places = torch.stack(answers)[:, None]
-        return TokenOutput(torch.stack(logits), places, torch.zeros(len(places), 1))
-
-
-def test_turned_and_mirrored_views_say_the_same_place() -> None:
-    mesh = garment("towel", vertex_count=500, size_m=(0.4, 0.3), pattern="random")
-    picture = _picture(mesh)
-    reconstructor = TokenReconstructor(_PlacesOfPixels())
-    tokens = replace(GarmentTokens.of(mesh), mirror=np.arange(TOKENS))
-    look = reconstructor.look(picture)
-    height = np.where(look.view.depth > 0, 0.5 - look.view.depth, EMPTY)
-    rows, columns = np.nonzero(look.view.depth.reshape(64, 2, 64, 2).min(axis=(1, 3)) > 0)
-    asked = np.stack([rows, columns], axis=1)[:TOKENS]
-    said = reconstructor._views(height, 1.5, asked, tokens, 8)
-    for number in range(1, 8):
-        np.testing.assert_allclose(said.places[number], said.places[0], atol=1e-5)
-        np.testing.assert_allclose(said.names[number], said.names[0], atol=1e-9)
-
-
-def _picture(mesh: ClothMesh) -> DepthInput:
-    positions = np.asarray(mesh.vertices, float) + [0.02, 0.01, 0.002]
-    drawn = render(positions, mesh, EXACT, np.random.default_rng(3))
-    table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    return DepthInput(drawn.depth_m, drawn.mask, drawn.camera, table, "towel")
 
 
 @pytest.fixture(scope="module")
@@ -345,31 +244,6 @@ def test_a_label_is_seen_from_its_own_table() -> None:
     assert low.distance == pytest.approx(high.distance)
 
 
-def test_parts_of_a_label_are_missing_now_and_then() -> None:
-    (picture, _) = _labeled(meshes()["rectangle"], "one").pictures
-    rising = picture.depth_m - 0.1 * np.arange(picture.depth_m.shape[0])[:, None] / 100
-    picture = replace(picture, depth_m=rising)
-    measured = picture.mask & (picture.depth_m > 0)
-    heights = picture.camera.back_project(picture.depth_m, measured)[:, 2]
-    shares, lowest = [], []
-    for seed in range(200):
-        shown = with_parts_missing(picture, np.random.default_rng(seed))
-        assert not (shown.mask & ~measured).any()
-        shares.append(shown.mask.sum() / measured.sum())
-        lowest.append(picture.camera.back_project(picture.depth_m, shown.mask)[:, 2].min())
-    assert 0.4 < np.mean(np.array(shares) == 1.0) < 0.6
-    assert min(shares) > 0.2
-    assert 0.2 < np.mean(np.array(lowest) > heights.min() + 0.01) < 0.5
-
-
-def test_the_short_recipe_rises_high_and_falls_once() -> None:
-    short = LearningConfig.preset("finetune_short")
-    rates = [short.tokens.rate(step, 10) for step in range(10 * short.tokens.epochs)]
-    assert max(rates) == pytest.approx(6e-4)
-    assert rates[-1] < 1e-5
-    assert (np.diff(rates) < 0).sum() > 0.9 * len(rates)
-
-
 def test_a_label_that_lies_beside_its_picture_is_left_out() -> None:
     mesh = meshes()["rectangle"]
     right = _labeled(mesh, "one")
@@ -410,21 +284,6 @@ class _StopAfter:
             import signal
 
             os.kill(os.getpid(), signal.SIGTERM)
-
-
-@pytest.mark.slow
-def test_a_run_goes_on_with_other_states(folders: list[Path], tmp_path: Path) -> None:
-    towels, shirts = (open_states(folder) for folder in folders)
-    going = _learning(
-        decay="stable", rise_examples=8, fall_examples=24, average_examples=16,
-        evaluate_examples=12,
-    )  # fmt: skip
-    pretrain_tokens([towels], going, tmp_path, progress=_StopAfter(3))
-    learned = pretrain_tokens([towels, shirts], going, tmp_path)
-    assert learned.model is not None
-    phases = load_weights(learned.model).provenance["phases"]
-    assert [one["from_step"] for one in phases] == [0, 3]
-    assert [one["data"]["states"] for one in phases] == [8, 16]
 
 
 def test_workers_do_not_render_for_a_gpu(folders: list[Path], tmp_path: Path) -> None:

@@ -12,17 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import nn
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.reconstruction.training import batches
-from clothtrack.reconstruction.training.batches import BatchOrder, loader, split_by_group
-from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
-from clothtrack.reconstruction.training.processes import Processes
+from clothtrack.reconstruction.training.batches import BatchOrder
+from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights, save_progress
+from clothtrack.reconstruction.training.processes import Processes, require_torch_device
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_log import read_scalars
 from clothtrack.reconstruction.training.training_loop import train
-from clothtrack.reconstruction.training.training_run import PROGRESS, freeze_statistics
+from clothtrack.reconstruction.training.training_run import PROGRESS
 
 SCRIPT = Path(__file__).with_name("line_stage.py")
 STEPS = 40
@@ -74,11 +72,6 @@ def test_a_training_that_was_never_measured_is_no_interrupted_one(line, tmp_path
             line.train_line(tmp_path)
 
 
-def test_no_more_workers_than_cores(monkeypatch):
-    monkeypatch.setattr(batches, "_cores", lambda: 1)
-    assert loader([], [], list, workers=3).num_workers == 1
-
-
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
@@ -108,9 +101,7 @@ def test_two_trainings_in_one_folder_do_the_work_once(line, tmp_path):
             command = [sys.executable, str(SCRIPT), str(shared), "0", "0.1"]
             said.append(subprocess.run(command, capture_output=True, text=True, check=False))
 
-    config = TrainingConfig(epochs=4, batch_size=4)
-    parts = (line.LineExamples(), line.LineExamples(12, seed=1), config, shared)
-    train(line.LineStage(), *parts, collate=line.line_batch, progress=try_meanwhile)
+    run(line, shared, progress=try_meanwhile)
     (second,) = said
     assert second.returncode == 1
     assert f"another run writes here (process {os.getpid()} on {platform.node()})" in second.stderr
@@ -133,23 +124,18 @@ def test_two_processes_train_as_one(line, tmp_path):
 
 
 def test_termination_saves_and_the_next_run_goes_on(line, tmp_path):
-    config = TrainingConfig(epochs=4, batch_size=4)
-    parts = (line.LineExamples(), line.LineExamples(12, seed=1), config, tmp_path / "stopped")
-
     def ask_to_stop(name, done, total):
         if done == 7:
             os.kill(os.getpid(), signal.SIGTERM)
 
     before = signal.getsignal(signal.SIGTERM)
-    stage = line.LineStage()
-    stopped = train(stage, *parts, collate=line.line_batch, progress=ask_to_stop)
+    stopped = run(line, tmp_path / "stopped", progress=ask_to_stop)
     assert (stopped.status, stopped.steps) == ("interrupted", 7)
     assert signal.getsignal(signal.SIGTERM) is before
-    resumed = line.LineStage(seed=9)
-    finished = train(resumed, *parts, collate=line.line_batch)
+    resumed, through = line.LineStage(seed=9), line.LineStage()
+    finished = run(line, tmp_path / "stopped", stage=resumed)
     assert (finished.status, finished.steps) == ("finished", STEPS)
-    through = line.LineStage()
-    train(through, *parts[:3], tmp_path / "through", collate=line.line_batch)
+    run(line, tmp_path / "through", stage=through)
     assert_same_bits(resumed.trained.state_dict(), through.trained.state_dict())
 
 
@@ -163,18 +149,16 @@ def test_a_finished_run_is_not_done_again(line, tmp_path):
     assert longer.steps == 50
 
 
-@pytest.mark.parametrize("changed", [{"batch_size": 8}, {"seed": 1}, {"low_rate": 1e-4}])
-def test_progress_of_other_settings_is_refused(line, tmp_path, changed):
+def test_progress_of_other_settings_is_refused(line, tmp_path):
     line.train_line(tmp_path, epochs=1)
-    with pytest.raises(InvalidConfigError, match=f"training.{next(iter(changed))}"):
-        line.train_line(tmp_path, epochs=1, **changed)
-
-
-def test_training_ends_when_nothing_improves(line, tmp_path):
-    _, outcome = line.train_line(tmp_path, epochs=500, patience=3, low_rate=1e-30, high_rate=1e-30)
-    assert outcome.status == "converged"
-    # With a rate of nothing only batch norm's statistics move, and soon no more.
-    assert outcome.steps < 5000
+    for name, value in {"batch_size": 8, "seed": 1, "low_rate": 1e-4}.items():
+        with pytest.raises(InvalidConfigError, match=f"training.{name}"):
+            line.train_line(tmp_path, epochs=1, **{name: value})
+    progress = progress_of(tmp_path)
+    del progress["optimizer"]
+    save_progress(tmp_path / PROGRESS, progress)
+    with pytest.raises(InvalidResultError, match="does not fit"):
+        line.train_line(tmp_path, epochs=1)
 
 
 def test_training_that_helps_nothing_changes_nothing(line, tmp_path):
@@ -187,94 +171,18 @@ def test_training_that_helps_nothing_changes_nothing(line, tmp_path):
     assert_same_bits(kept, line.LineStage().trained.state_dict())
 
 
-def test_frozen_statistics_stay(line, tmp_path):
-    frozen, _ = line.train_line(tmp_path / "frozen", epochs=1, freeze_statistics=True)
-    moving, _ = line.train_line(tmp_path / "moving", epochs=1)
-    start = line.LineStage().trained[1]
-    assert torch.equal(frozen.trained[1].running_mean, start.running_mean)
-    assert torch.equal(frozen.trained[1].running_var, start.running_var)
-    assert not torch.equal(frozen.trained[1].weight, start.weight)
-    assert not torch.equal(moving.trained[1].running_mean, start.running_mean)
-
-
-def test_a_loss_that_is_no_number_is_an_error(line, tmp_path):
-    stage = line.LineStage()
-    with torch.no_grad():
-        stage.trained[0].weight.fill_(float("inf"))
-    with pytest.raises(InvalidConfigError, match="loss of line is nan"):
-        train(
-            stage,
-            line.LineExamples(),
-            line.LineExamples(12, seed=1),
-            TrainingConfig(epochs=1, batch_size=4),
-            tmp_path,
-            collate=line.line_batch,
-        )
-
-
-def test_every_scalar_is_a_line_of_json(line, tmp_path):
-    line.train_line(tmp_path, epochs=2)
-    lines = read_scalars(tmp_path)
-    train_steps = [one["step"] for one in lines if one["split"] == "train"]
-    assert train_steps == list(range(1, 21))
-    assert [one["step"] for one in lines if one["split"] == "held_out"] == [0, 10, 20]
-    assert all(np.isfinite(one["loss"]) for one in lines if one["split"] == "train")
-
-
-def test_tensorboard_reads_the_same_scalars(line, tmp_path):
-    accumulators = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    line.train_line(tmp_path, epochs=2)
-    board = accumulators.EventAccumulator(str(tmp_path))
-    board.Reload()
-    found = {one.step: one.value for one in board.Scalars("held_out/error")}
-    wanted = {one["step"]: one["error"] for one in read_scalars(tmp_path) if "error" in one}
-    assert found.keys() == wanted.keys()
-    np.testing.assert_allclose([found[k] for k in wanted], list(wanted.values()), rtol=1e-6)
-
-
-def test_the_rate_is_constant_or_a_triangle():
-    constant = TrainingConfig(low_rate=1e-3, high_rate=1e-3)
-    assert {constant.rate(step, 10) for step in range(200)} == {1e-3}
-    cyclic = TrainingConfig(low_rate=1e-6, high_rate=1e-5)
-    rates = [cyclic.rate(step, 10) for step in range(161)]
-    assert rates[0] == rates[80] == rates[160] == pytest.approx(1e-6)
-    assert rates[40] == rates[120] == max(rates) == pytest.approx(1e-5)
-    slopes = np.diff(rates)
-    np.testing.assert_allclose(np.abs(slopes), 9e-6 / 40, rtol=1e-9)
-
-
-def test_groups_are_not_parted():
-    groups = [f"trajectory {number // 4}" for number in range(80)]
-    training, held_out = split_by_group(groups, 0.1, seed=2)
-    assert len(held_out) == 8
-    assert len(training) + len(held_out) == 80
-    assert not {groups[k] for k in training} & {groups[k] for k in held_out}
-    again = split_by_group(groups, 0.1, seed=2)
-    np.testing.assert_array_equal(held_out, again[1])
-    assert any(
-        set(split_by_group(groups, 0.1, seed=seed)[1]) != set(held_out) for seed in range(3, 8)
-    )
-    with pytest.raises(InvalidConfigError, match="two or more"):
-        split_by_group(["one"] * 5, 0.1, seed=0)
-
-
-def test_an_epoch_shows_everything_once():
-    order = BatchOrder(12, TrainingConfig(epochs=3, batch_size=4), Processes())
-    batches = list(order)
+def test_an_epoch_shows_everything_once_and_an_order_begun_later_is_its_rest():
+    config = TrainingConfig(epochs=3, batch_size=4)
+    whole, rest = (BatchOrder(12, config, Processes()) for _ in range(2))
+    batches = list(whole)
     epochs = [[draw for batch in batches[3 * k : 3 * k + 3] for draw in batch] for k in range(3)]
     for number, epoch in enumerate(epochs):
         assert sorted(epoch) == [(index, number) for index in range(12)]
     for one, other in pairwise(epochs):
         assert [k for k, _ in one] != [k for k, _ in other]
-
-
-def test_an_order_begun_later_is_the_rest_of_the_whole():
-    config = TrainingConfig(epochs=3, batch_size=4)
-    whole = list(BatchOrder(14, config, Processes()))
-    rest = BatchOrder(14, config, Processes())
     rest.start = 5
-    assert list(rest) == whole[5:]
-    assert len(rest) == len(whole) - 5
+    assert list(rest) == batches[5:]
+    assert len(rest) == len(batches) - 5
 
 
 def test_processes_share_a_batch():
@@ -285,26 +193,6 @@ def test_processes_share_a_batch():
         assert sorted(batch) == sorted([*parts[0], *parts[1]])
     with pytest.raises(InvalidConfigError, match="multiple"):
         BatchOrder(8, config, Processes(0, 3))
-
-
-@pytest.mark.slow
-def test_examples_made_elsewhere_are_the_same(line, monkeypatch):
-    monkeypatch.syspath_prepend(SCRIPT.parent)
-    examples = line.LineExamples(8)
-    order = [[(0, 0), (1, 0)], [(2, 1), (3, 1)]]
-    here = list(loader(examples, order, line.line_batch))
-    there = list(loader(examples, order, line.line_batch, workers=2))
-    for one, other in zip(here, there, strict=True):
-        assert torch.equal(one.inputs, other.inputs)
-        assert torch.equal(one.targets, other.targets)
-
-
-def test_statistics_are_frozen_in_every_depth():
-    nested = nn.Sequential(nn.Sequential(nn.BatchNorm2d(2), nn.Dropout()), nn.BatchNorm3d(2))
-    freeze_statistics(nested.train())
-    assert not nested[0][0].training
-    assert not nested[1].training
-    assert nested[0][1].training
 
 
 def test_a_loss_that_is_no_number_never_reaches_the_weights(line, tmp_path):
@@ -318,34 +206,40 @@ def test_a_loss_that_is_no_number_never_reaches_the_weights(line, tmp_path):
             inputs, targets = super().__getitem__(draw)
             return inputs, targets * (float("nan") if ruined["at"] < 0 else 1.0)
 
-    config = TrainingConfig(epochs=1, batch_size=4, log_steps=1000, save_steps=1)
-    with pytest.raises(InvalidConfigError, match="after step 1; lower"):
-        train(
-            stage, Ruined(), line.LineExamples(12, seed=1), config, tmp_path,
-            collate=line.line_batch,
-        )  # fmt: skip
-    assert all(torch.isfinite(one).all() for one in stage.trained.parameters())
+    with pytest.raises(InvalidConfigError, match="loss of line is nan after step 1; lower"):
+        run(line, tmp_path, stage=stage, examples=Ruined(), log_steps=1000, save_steps=1)
     saved = progress_of(tmp_path)
     assert saved["step"] == 1
-    assert all(torch.isfinite(one).all() for one in saved["weights"].values())
+    for one in (*stage.trained.parameters(), *saved["weights"].values()):
+        assert torch.isfinite(one).all()
 
 
 def test_a_run_killed_before_its_first_save_is_judged_once(line, tmp_path):
     """Judged twice, it would seem to have waited a measurement longer for an improvement."""
 
-    def run(progress=None):
-        held_out = line.LineExamples(12, seed=1)
-        config = TrainingConfig(epochs=1, batch_size=4)
-        return train(
-            line.LineStage(), line.LineExamples(), held_out, config, tmp_path,
-            collate=line.line_batch, progress=progress,
-        )  # fmt: skip
-
     def kill(*_):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(kill)
+        run(line, tmp_path, progress=kill, epochs=1)
     assert (progress_of(tmp_path)["step"], progress_of(tmp_path)["stale"]) == (0, 0)
-    run()
+    run(line, tmp_path, epochs=1)
     assert [row["step"] for row in read_scalars(tmp_path) if row["split"] == "held_out"] == [0, 10]
+
+
+def run(line, folder, *, stage=None, examples=None, progress=None, **settings):
+    """Train one more stage in a folder."""
+    config = TrainingConfig(**{"epochs": 4, "batch_size": 4, **settings})
+    stage = stage or line.LineStage()
+    parts = (stage, examples or line.LineExamples(), line.LineExamples(12, seed=1), config, folder)
+    return train(*parts, collate=line.line_batch, progress=progress)
+
+
+@pytest.mark.parametrize("device", ["tpu", "cuda:x", "cudafast", "cuda:2"])
+def test_a_device_that_cannot_be_is_refused(device, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    require_torch_device("cuda:1")
+    told = "sees 2 GPUs" if device == "cuda:2" else "use cpu, cuda or cuda:0"
+    with pytest.raises(InvalidConfigError, match=told):
+        require_torch_device(device)

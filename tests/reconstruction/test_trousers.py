@@ -13,8 +13,7 @@ from clothtrack.garments.garment_meshes import trousers
 from clothtrack.garments.outlines import TrousersOutline
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasterizer
-from clothtrack.reconstruction.availability import shipped_weights
-from clothtrack.reconstruction.cuts import cuts, sized
+from clothtrack.reconstruction.cuts import cuts
 from clothtrack.reconstruction.tokens.token_learning import KIND, PREFIX
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.training.checkpoint import save_weights
@@ -30,11 +29,7 @@ TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 @pytest.fixture(autouse=True)
 def _short_search(monkeypatch):
     """One turn of the picture and few sizes say all that is asked here."""
-    for name, value in {
-        "ENOUGH": np.inf,
-        "SCANNED_SIZES": (1.15,),
-        "STEPS": (0.2,),
-    }.items():
+    for name, value in {"ENOUGH": np.inf, "SCANNED_SIZES": (1.15,), "STEPS": (0.2,)}.items():
         monkeypatch.setattr(f"clothtrack.reconstruction.search.{name}", value)
 
 
@@ -91,20 +86,6 @@ def vertices_of(mesh):
 
 
 @pytest.mark.slow
-def test_trousers_of_known_size_with_the_shipped_weights(picture, size_m, tmp_path, capsys):
-    assert shipped_weights() is not None
-    mesh = tmp_path / "mesh.obj"
-    words = ["--garment", "trousers", "--size", *size_m, "--output", mesh, "--json"]
-    assert cli.main(asked(picture, *words)) == 0
-    said = json.loads(capsys.readouterr().out)
-    expected = sized("trousers", size_m, 1000).mesh.vertex_count
-    assert vertices_of(mesh) == said["vertices"] == expected
-    (chosen,) = said["garment"]
-    assert chosen["cut"] == "trousers"
-    np.testing.assert_allclose(chosen["size_m"], size_m, rtol=1e-6)
-
-
-@pytest.mark.slow
 def test_trousers_of_unknown_size_are_said_to_be_some_of_some_size(
     picture, untrained, tmp_path, capsys
 ):
@@ -138,31 +119,3 @@ def test_a_recording_says_that_it_shows_trousers(drawn, size_m, untrained, tmp_p
     np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), size_m, rtol=1e-6)
     # Of two layers: a towel or a part of them would have none of these.
     assert np.ptp(mesh.canonical[:, 2]) > 0.05 * size_m[0]
-
-
-@pytest.mark.parametrize("width_m", [0.35, 0.5, 0.7, 1.2])
-def test_the_width_over_the_length_says_whether_trousers_are_short(width_m):
-    long, short = (cut.size_m[0] / cut.size_m[1] for cut in cuts("trousers", 400))
-    found = sized("trousers", (width_m, 0.9), 400)
-    np.testing.assert_allclose(found.size_m, (width_m, 0.9), rtol=1e-6)
-    # The geometric mean is as far from either.
-    assert found.cut == ("trousers" if width_m / 0.9 < (long * short) ** 0.5 else "shorts")
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        (["--garment", "sofa"], "'sofa'"),
-        (["--garment", "trousers", "--size", "0.5"], "--size WIDTH LENGTH"),
-        (["--garment", "trousers", "--size", "0.5", "nan"], "the size is 0.5 x nan m"),
-        ([], "one of towel, tshirt, trousers"),
-    ],
-)
-def test_what_cannot_be_is_one_line(picture, untrained, tmp_path, capsys, case):
-    words, line = case
-    mesh = tmp_path / "mesh.obj"
-    assert cli.main(asked(picture, *words, "--weights", untrained, "--output", mesh)) in (1, 2)
-    said = capsys.readouterr().err
-    assert line in said
-    assert said.count("\n") == 1
-    assert not mesh.exists()

@@ -41,6 +41,20 @@ def test_no_part_of_a_picture_passes_for_the_whole(tmp_path, share, read):
         read(tmp_path / "a.png")
 
 
+def test_no_flipped_bit_of_a_picture_passes(tmp_path):
+    picture = RNG.integers(0, 256, (20, 30)).astype(np.uint8)
+    data = encode_png(picture)
+    for place in RNG.integers(0, len(data), 200):
+        torn = bytearray(data)
+        torn[place] ^= 1 << int(RNG.integers(8))
+        (tmp_path / "a.png").write_bytes(torn)
+        try:
+            shown = read_color(tmp_path / "a.png")
+        except InvalidRecordingError:
+            continue
+        np.testing.assert_array_equal(shown[..., 0], picture)
+
+
 def test_each_kind_refuses_what_is_not_its_own(tmp_path):
     deep, flat, colored = (tmp_path / f"{name}.png" for name in ("deep", "flat", "colored"))
     deep.write_bytes(encode_png(np.ones((4, 4), np.uint16)))

@@ -30,13 +30,6 @@ def test_a_recording_without_cloth_is_refused(clouds_only, tmp_path):
         write_recording_page(replace(clouds_only, frames=bare), tmp_path / "r.html")
 
 
-def test_a_mesh_has_a_page(tracked, tmp_path):
-    path = write_mesh_page(tracked.mesh, "<towel>.obj", tmp_path / "m.html")
-    text = path.read_text(encoding="utf-8")
-    assert "<h1>&lt;towel&gt;.obj</h1>" in text
-    assert "30.0 by 30.0 by 0.0" in text
-
-
 def test_a_mesh_is_colored_by_the_error_that_its_file_keeps(tracked, tmp_path):
     errors = np.linspace(0.0, 0.04, tracked.mesh.vertex_count)
     path = write_mesh_page(tracked.mesh, "m", tmp_path / "m.html", expected_error_m=errors)

@@ -93,20 +93,6 @@ def test_a_recording_plays_and_follows_bar_and_keys(stored, tmp_path):
         assert page.ask(TOLD) == "frame 4, 0.40 s"
 
 
-def test_a_recording_of_one_frame_is_drawn(two_cameras, tmp_path):
-    write_recording(
-        replace(two_cameras, frames=two_cameras.frames[:1], actions=()), tmp_path / "still"
-    )
-    with viewed(tmp_path / "still.html", tmp_path / "profile", tmp_path / "still") as page:
-        page.wait_for(READY, limit_s=20)
-        page.wait_for(f"{STEP} === '0'")
-        shown = scene_picture(page)
-        assert (
-            shown[..., 0] - shown[..., 1] > 60
-        ).sum() > 500  # red as the cloth: what was observed
-        assert page.ask("document.querySelector('#time')") is None
-
-
 def test_a_mesh_is_turned_and_its_layers_lifted_by_keys(tracked, tmp_path):
     mesh = tmp_path / "folded.ply"
     write_mesh(replace(tracked.mesh, vertices=tracked.positions[5].astype(np.float64)), mesh)

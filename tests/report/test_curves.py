@@ -2,7 +2,6 @@ import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
-import pytest
 
 from clothtrack.report.curves import (
     BOTTOM,
@@ -43,36 +42,6 @@ def test_a_missing_value_leaves_a_gap():
     assert letters == ["M", "L", "M", "L"]
 
 
-def test_nothing_known_is_an_empty_chart():
-    nothing = Chart("unknown", "", (Line("", np.full(5, np.nan)),))
-    assert points(drawn(nothing)) == []
-
-
-def test_marks_stand_at_their_frames_and_bands_at_the_actions():
-    chart = Chart("trials", "", (Line("", np.ones(5)),), marks=(4,), marks_label="dropped")
-    svg = drawn(chart, actions=[(1, 3)])
-    crosses = [p for p in svg.iter("path") if p.get("class") == "cross"]
-    assert [cross.find("title").text for cross in crosses] == ["frame 4: dropped"]
-    assert crosses[0].get("d").startswith(f"M{WIDTH - RIGHT - 3:.1f}")
-    band = next(r for r in svg.iter("rect"))
-    span = (WIDTH - LEFT - RIGHT) / 4
-    assert float(band.get("x")) == pytest.approx(LEFT + span, abs=0.1)
-    assert float(band.get("width")) == pytest.approx(2 * span, abs=0.1)
-
-
 def test_words_cannot_break_out_of_the_page():
     text = chart_html(Chart("a<b>&'", "'\"", (Line("<i>", np.ones(5)),)), FRAMES, ())
     assert ET.fromstring(text).find("figcaption/h3").text.startswith("a<b>&'")
-
-
-def test_a_single_frame_can_be_drawn():
-    svg = drawn(Chart("one", "", (Line("", np.array([2.0])),)), np.array([7]))
-    assert [c.get("class") for c in svg.iter("circle")] == ["tone0"]
-
-
-def test_an_axis_of_nothing_but_zeros_ends_at_one():
-    frames = np.arange(4)
-    for values in (np.zeros(4), np.full(4, np.nan)):
-        drawn = chart_html(Chart("Line search", "", (Line("", values),)), frames, ())
-        assert ">1</text>" in drawn
-        assert "e-" not in drawn

@@ -4,8 +4,6 @@ import json
 import re
 import urllib.request
 
-import cv2
-import numpy as np
 import pytest
 
 from clothtrack.planning.flatten_config import FlattenConfig
@@ -15,7 +13,6 @@ from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.report.flattening_page import (
     CONTROL,
     watched_live,
-    write_film_strip,
     write_flattening_report,
 )
 from clothtrack_lab.world.episodes import SMALL_WORLD
@@ -78,11 +75,3 @@ def test_the_page_says_what_it_is_and_asks_nobody(store, tmp_path):
     assert page.count("<article") == len(store.steps)
     assert page.count("data:image/jpeg") == 2 * len(store.steps)
     assert "control: truth" in page
-
-
-def test_the_strip_has_a_picture_per_step_with_arrows(store, tmp_path):
-    strip = cv2.imread(str(write_film_strip(store, tmp_path / "strip.png", columns=2)))
-    assert strip.shape == (264, 640, 3)
-    red = (strip[..., 2] > 180) & (strip[..., 1] < 110) & (strip[..., 0] < 90)
-    assert red[:, :320].sum() > 20
-    assert np.ptp(strip) > 100

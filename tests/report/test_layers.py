@@ -52,21 +52,3 @@ def test_against_every_triangle_one_by_one(rng):
     assert (counts == expected).mean() > 0.9  # the rest is a step aside across an edge
     assert np.abs(counts - expected).max() <= 2
     assert expected.max() >= 2
-
-
-def test_the_axis_may_point_anywhere(rng):
-    vertices, _ = zigzag(TOWEL.vertices, leaves=2)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turned = Layers(TOWEL, turn @ UP).counts(vertices @ turn.T)
-    chosen = inner(TOWEL.vertices, 2)
-    np.testing.assert_array_equal(turned[chosen], Layers(TOWEL, UP).counts(vertices)[chosen])
-
-
-def test_ranks_are_counts_with_slopes():
-    vertices, _ = zigzag(TOWEL.vertices, leaves=2)
-    layers = Layers(TOWEL, UP)
-    counts, ranks = layers.counts(vertices), layers.ranks(vertices)
-    assert counts.min() <= ranks.min()
-    assert ranks.max() <= counts.max()
-    ends = TOWEL.edges
-    assert np.abs(np.diff(ranks[ends], axis=1)).max() < 0.5 * np.abs(np.diff(counts[ends])).max()

@@ -5,7 +5,6 @@ import importlib.util
 import json
 import threading
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -114,14 +113,6 @@ def test_what_is_no_decision_is_refused_with_what_can_be_decided(
     assert not decisions.path.exists()
 
 
-def test_a_page_without_labels_takes_no_decision():
-    addresses = []
-    with live_page("mesh", opened=addresses.append):
-        assert request(addresses[0], "GET", "/review")[0] == 404
-        message = {"action": 0, "verdict": "open"}
-        assert request(addresses[0], "POST", "/review", message)[0] == 404
-
-
 @pytest.mark.parametrize(
     "foreign",
     [
@@ -213,16 +204,6 @@ def test_keys_write_the_review_and_a_page_opened_again_shows_it(
 
 @pytest.mark.slow
 @in_browser
-def test_keys_in_quick_succession_decide_one_label_each(tracked, two_cameras, decisions, tmp_path):
-    with judged(tracked, two_cameras, decisions, tmp_path) as page:
-        page.ask("""['a', 'r', 'ArrowUp', 'o'].forEach((key) => document.body.dispatchEvent(
-            new KeyboardEvent('keydown', { key, bubbles: true })))""")
-        page.wait_for(f"{VERDICTS} === 'open,rejected'")
-        assert read_review(decisions.path, tracked).rejected == {1}
-
-
-@pytest.mark.slow
-@in_browser
 def test_what_is_not_saved_is_not_shown_as_decided(tracked, two_cameras, decisions, tmp_path):
     path = decisions.path
     with judged(tracked, two_cameras, decisions, tmp_path) as page:
@@ -293,15 +274,3 @@ def test_a_page_of_another_origin_cannot_press_reject(decisions, address, tmp_pa
             headers: { 'Content-Type': 'application/json' },
             body: JSON.stringify({ action: 0, verdict: 'rejected' }) }).then(() => true)""")
         assert decisions.review.rejected == {0}
-
-
-@pytest.mark.slow
-@in_browser
-def test_two_actions_that_meet_in_a_frame_keep_their_own_labels(
-    tracked, two_cameras, decisions, tmp_path
-):
-    first, second = tracked.actions
-    meeting = replace(tracked, actions=(first, replace(second, first_frame=2)))
-    with judged(meeting, two_cameras, decisions, tmp_path) as page:
-        press(page, ["a", "ArrowUp", "r"])
-        page.wait_for(f"{VERDICTS} === 'rejected,open'")

@@ -79,14 +79,6 @@ def test_what_is_wrong_is_answered_with_a_reason(address, method, path, body, *,
     assert request(address, "GET", "/")[0] == 200
 
 
-def test_a_page_may_say_that_it_comes_from_here(address):
-    for name in ("127.0.0.1", "localhost"):
-        own = f"{name}:{urlsplit(address).port}"
-        headers = {"Host": own, "Origin": f"http://{own}"}
-        status, _ = request(address, "POST", "/say", json.dumps({"word": "x"}), **headers)
-        assert status == 200
-
-
 def test_a_browser_that_resets_its_connection_leaves_no_traceback(address, capfd):
     url = urlsplit(address)
     for _ in range(5):
@@ -96,13 +88,6 @@ def test_a_browser_that_resets_its_connection_leaves_no_traceback(address, capfd
     for _ in range(20):
         assert request(address, "GET", "/")[0] == 200
     assert capfd.readouterr().err == ""
-
-
-def test_a_defect_is_answered_and_logged(address, caplog):
-    _, answer = request(address, "GET", "/break")
-    assert "a defect of ours" in json.loads(answer)["error"]
-    assert "/break" in caplog.text
-    assert "Traceback" in caplog.text
 
 
 def test_a_port_that_is_taken_or_cannot_be_is_refused(address):

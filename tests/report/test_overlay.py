@@ -1,26 +1,17 @@
 from dataclasses import replace
 
 import av
-import cv2
 import numpy as np
 import pytest
 
 from clothtrack.report.overlay import (
     Overlay,
     OverlayConfig,
-    scene_view,
     step_words,
-    write_contact_sheet,
     write_overlay_video,
 )
 
 SMALL = OverlayConfig(height=120)
-
-
-def test_both_cameras_stand_side_by_side(tracked, two_cameras):
-    overlay = Overlay(tracked, two_cameras, config=SMALL)
-    assert overlay.draw(0).shape == overlay.observation(0).shape == (120, 320, 3)
-    assert Overlay(tracked, two_cameras, config=replace(SMALL, cameras=1)).draw(0).shape[1] == 160
 
 
 def test_a_close_up_holds_the_cloth_in_every_frame(tracked, two_cameras):
@@ -81,21 +72,6 @@ def test_the_video_has_the_chosen_frames(tracked, recording, request, tmp_path):
     assert rate == pytest.approx(5.0)
     with av.open(str(tmp_path / "v.mp4")) as container:
         assert len(list(container.decode(video=0))) == 3
-
-
-def test_the_contact_sheet_has_a_row_per_frame(tracked, two_cameras, tmp_path):
-    overlay = Overlay(tracked, two_cameras, config=SMALL)
-    path = write_contact_sheet(overlay, tmp_path / "sheet.png", rows=3)
-    sheet = cv2.imread(str(path))
-    assert sheet.shape == (3 * (240 + 26), 640 + 4 + 640 + 4 + 320, 3)
-
-
-def test_a_hanging_cloth_is_seen_from_the_camera_s_side(tracked, two_cameras):
-    hanging = replace(two_cameras, table=None, cameras=two_cameras.cameras[1:])
-    view = scene_view(tracked, hanging, width=160, height=120)
-    middle = tracked.positions.reshape(-1, 3).mean(axis=0)
-    towards = two_cameras.cameras[1].position - middle
-    assert (view.position - middle) @ towards > 0
 
 
 def test_frames_after_the_last_action_say_whose_mesh_they_have(tracked):

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import pytest
 
-from clothtrack.errors import StorageError
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.report.overlay import OverlayConfig
 from clothtrack.report.page import ReportConfig, evenly, write_report
@@ -39,28 +38,11 @@ def test_the_name_cannot_break_out_of_the_page(page):
     assert "<h1>fold &lt;in&gt; half</h1>" in page
 
 
-def test_the_video_lists_its_frames(page, tracked):
-    listed = re.search(r'data-frames="\[([\d, ]+)\]"', page).group(1)
-    assert [int(frame) for frame in listed.split(",")] == tracked.frames.tolist()
-    assert "data:video/mp4;base64," in page
-
-
-def test_the_truth_is_not_named_where_it_is_not_given(page):
-    assert "Error against the truth" not in page
-    assert "Distance to what was observed" in page
-
-
 def test_decisions_so_far_are_in_the_page(tracked, two_cameras, tmp_path):
     review = LabelReview.blank(tracked).decided(1, "rejected")
     path = write_report(tracked, two_cameras, tmp_path / "p.html", config=SMALL, review=review)
     found = re.search(r'data-review="([^"]+)"', path.read_text(encoding="utf-8")).group(1)
     assert json.loads(unescape(found)) == review.as_document()
-
-
-def test_many_frames_are_thinned(tracked, clouds_only, tmp_path):
-    config = ReportConfig(video_frames=3, scene_vertices=2 * 169, overlay=SMALL.overlay)
-    path = write_report(tracked, clouds_only, tmp_path / "thin.html", config=config)
-    assert 'data-frames="[0, 2, 5]"' in path.read_text(encoding="utf-8")
 
 
 def test_the_frames_of_labels_are_never_thinned_out(tracked, clouds_only, tmp_path):
@@ -95,9 +77,3 @@ def test_one_frame_without_actions_or_observation_is_a_page(tracked, clouds_only
         config=SMALL,
     )
     assert "no action" in path.read_text(encoding="utf-8")
-
-
-def test_a_place_that_cannot_be_written_to_is_named(tracked, clouds_only, tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(StorageError, match=r"file/page\.html"):
-        write_report(tracked, clouds_only, tmp_path / "file" / "page.html", config=SMALL)

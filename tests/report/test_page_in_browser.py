@@ -75,30 +75,6 @@ def test_the_page_plays_offline(opened, recording):
         assert page.complaints() == []
 
 
-def test_the_time_bar_moves_the_mesh_at_once(opened):
-    with opened("two_cameras") as page:
-        page.wait_for("document.body.dataset.ready === 'yes'")
-        page.wait_for("document.querySelector('canvas').dataset.step === '0'")
-        first = scene_picture(page)
-        assert cloth_pixels(first) > 2000
-        taken_ms = [page.ask(MOVE_BAR % (step, step)) for step in (1, 4, 2, 5)]
-        assert np.abs(scene_picture(page) - first).max(axis=2).mean() > 2
-        assert page.ask("document.querySelector('#told').textContent") == "frame 5, 0.50 s"
-        assert page.ask("document.querySelector('video').currentTime") == pytest.approx(0.55)
-        assert min(taken_ms) < 100
-
-
-def test_a_trajectory_of_one_frame_is_drawn_and_judged(opened, one_frame):
-    with opened("two_cameras", one_frame) as page:
-        page.wait_for("document.body.dataset.ready === 'yes'", limit_s=20)
-        page.wait_for("document.querySelector('canvas').dataset.step === '0'")
-        assert cloth_pixels(scene_picture(page)) > 2000
-        assert page.ask("document.querySelector('#time')") is None
-        page.press("a", "KeyA")
-        assert page.ask("document.querySelector('.verdict').textContent") == "accepted"
-        assert page.complaints() == []
-
-
 def test_layers_come_apart_and_let_look_through(opened):
     with opened("two_cameras") as page:
         page.wait_for("document.body.dataset.ready === 'yes'")
@@ -156,22 +132,6 @@ def test_a_key_decides_the_highlighted_label_only(opened, keys, verdicts, label,
         assert page.ask(HIGHLIGHTED) == f"Label {label}"
         assert page.ask("document.querySelector('#told').textContent").startswith(f"frame {frame},")
         assert page.complaints() == []
-
-
-def test_buttons_decide_their_own_label_and_undo_it(opened):
-    with opened("two_cameras") as page:
-        page.wait_for("document.body.dataset.ready === 'yes'")
-        assert page.ask("document.querySelector('#undo').disabled")
-        page.ask("void document.querySelectorAll('[data-decide=rejected]')[1].click()")
-        page.ask("void document.querySelectorAll('[data-decide=accepted]')[0].click()")
-        assert page.ask(VERDICTS) == ["accepted", "rejected"]
-        assert page.ask(HIGHLIGHTED) == "Label 2"
-        page.ask("void document.querySelector('#undo').click()")
-        assert page.ask(VERDICTS) == ["open", "rejected"]
-        assert page.ask(HIGHLIGHTED) == "Label 1"
-        page.ask("void document.querySelector('#undo').click()")
-        assert page.ask(VERDICTS) == ["open", "open"]
-        assert page.ask("document.querySelector('#undo').disabled")
 
 
 def test_a_review_by_keys_becomes_a_file_that_label_honours(opened, tracked, tmp_path):

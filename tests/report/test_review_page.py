@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -30,10 +29,7 @@ pytestmark = [
 READY = "document.body.dataset.ready === 'yes'"
 TOLD = "document.querySelector('#told').textContent"
 VERDICTS = "[...document.querySelectorAll('.verdict')].map((one) => one.textContent)"
-STEP = "document.querySelector('canvas').dataset.step"
 CAMERA = "document.querySelector('canvas').dataset.camera"
-HOVER = "document.querySelector('.hover').innerText"
-SHOWN_PART = "document.querySelector('[data-part][aria-pressed=true]').textContent"
 
 
 @pytest.fixture
@@ -69,13 +65,6 @@ def click(page, selector):
         )
 
 
-def choose(page, name, value):
-    page.ask(
-        f"(() => {{ const one = document.querySelector('[name={name}]'); one.value = '{value}';"
-        "one.dispatchEvent(new Event('change', { bubbles: true })); })()"
-    )
-
-
 def blueness(picture):
     """Pixels in the hue of the outer side."""
     return picture[..., 2] - picture[..., 0] > 50
@@ -102,62 +91,6 @@ def test_keys_work_whatever_has_the_focus(opened, focused):
         assert page.ask("document.querySelector('[name=mode]').value") == before
         assert page.ask("document.querySelector('[name=cloud]').checked")
         assert page.complaints() == []
-
-
-def test_a_menu_gives_the_focus_back_after_a_choice_and_a_button_after_a_click(opened):
-    with opened() as page:
-        page.wait_for(READY)
-        page.ask("document.querySelector('[name=mode]').focus()")
-        choose(page, "mode", "visible")
-        assert page.ask("document.activeElement === document.body")
-        click(page, "[data-part='1']")
-        assert page.ask(SHOWN_PART) == "Raw picture"
-        assert page.ask("document.activeElement === document.body")
-
-
-def test_there_is_one_time_bar_with_actions_and_labels_on_it(opened):
-    with opened() as page:
-        page.wait_for(READY)
-        assert page.ask("document.querySelector('video').controls") is False
-        assert page.ask("document.querySelectorAll('input#time').length") == 1
-        places = page.ask("[...document.querySelectorAll('.flag')].map((one) => one.style.left)")
-        assert places == ["40%", "100%"]
-        click(page, ".flag[data-mark='1']")
-        page.wait_for(f"{TOLD}.startsWith('frame 5,')")
-        press(page, "r")
-        page.wait_for(
-            "document.querySelector(\".flag[data-mark='1']\").dataset.verdict === 'rejected'"
-        )
-        chip = "document.querySelector(\".chip[data-mark='1']\").innerText"
-        assert "rejected" in page.ask(chip)
-        assert re.search(r"(trust|look|reject)\s+[\d.]+ mm", page.ask(chip), re.IGNORECASE)
-
-
-def test_an_address_leads_to_a_frame_and_follows_it(opened, tmp_path):
-    with opened() as page:
-        page.wait_for(READY)
-        page.ask("void (location.hash = '#frame=4')")
-        page.wait_for(f"{TOLD}.startsWith('frame 4,') && {STEP} === '4'")
-        press(page, "ArrowRight")
-        page.wait_for("location.hash === '#frame=5'")
-        page.call("Page.reload")
-        page.wait_for(f"document.readyState === 'complete' && {READY}")
-        assert page.ask(TOLD).startswith("frame 5,")
-
-
-def test_the_raw_picture_is_a_key_away(opened):
-    with opened() as page:
-        page.wait_for(READY)
-        page.wait_for("document.querySelector('video').readyState >= 2")
-        drawn = scene_picture(page, ".film .picture")
-        press(page, "v")
-        page.wait_for(f"{SHOWN_PART} === 'Raw picture'")
-        raw = scene_picture(page, ".film .picture")
-        red = (raw[..., 0] - raw[..., 2] > 80).mean()
-        assert red > 0.05  # the sheet is red, and the mesh over it is not
-        assert (drawn[..., 0] - drawn[..., 2] > 80).mean() < 0.2 * red
-        press(page, "v")
-        assert page.ask(SHOWN_PART) == "Mesh on the picture"
 
 
 def test_from_the_camera_the_scene_lies_where_the_picture_has_it(opened):
@@ -193,29 +126,6 @@ def test_from_the_camera_the_scene_lies_where_the_picture_has_it(opened):
         page.wait_for(f"{CAMERA} === 'free' && document.querySelector('[name=view]').value === ''")
 
 
-def test_the_pointer_tells_vertex_layer_and_millimeters(opened):
-    with opened() as page:
-        page.wait_for(READY)
-        page.ask(MOVE_BAR % (5, 5))
-        press(page, "c")
-        page.wait_for(f"{CAMERA} === '0'")
-        page.ask("void document.querySelector('canvas').scrollIntoView({block: 'center'})")
-        left, top, width, height = page.ask(
-            "(() => { const b = document.querySelector('canvas').getBoundingClientRect();"
-            "return [b.left, b.top, b.width, b.height]; })()"
-        )
-        # The left half has two layers, the upper one on it.
-        x, y = left + 0.44 * width, top + 0.5 * height
-        page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
-        page.wait_for("!document.querySelector('.hover').hidden")
-        words = page.ask(HOVER)
-        assert re.search(r"vertex \d+", words)
-        assert "layer 2" in words
-        assert re.search(r"Expected error at the end of the action: [\d.]+ mm", words)
-        page.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + 4, y=top + 4)
-        page.wait_for("document.querySelector('.hover').hidden")
-
-
 def test_the_mesh_of_the_shown_frame_is_saved(opened, tracked, tmp_path):
     with opened() as page:
         page.wait_for(READY)
@@ -249,17 +159,6 @@ def test_every_width_shows_all_without_scrolling_sideways(opened, width):
         )
         assert blueness(scene_picture(page)).mean() > 0.03
         assert scene_picture(page, ".film .picture").std() > 10
-
-
-def test_every_number_has_an_explanation(opened):
-    with opened() as page:
-        page.wait_for(READY)
-        bare = page.ask(
-            "[...document.querySelectorAll('.figures div, .chip, .key, #told, .words, .tuned th')]"
-            ".filter((one) => !one.title && !one.textContent.match(/^(what was|beside|score|$)/))"
-            ".map((one) => one.outerHTML)"
-        )
-        assert bare == []
 
 
 def test_180_frames_of_a_full_sized_cloth_are_under_5_mb(two_cameras, tracked, tmp_path, rng):

@@ -1,17 +1,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from clothtrack.report.evidence import ObservedSteps
-from clothtrack.report.sections import actions_html, figures_of, lead_line, settings_html
+from clothtrack.report.sections import actions_html, charts, edge_strains, settings_html
 from clothtrack.tracking.tracked_trajectory import Calibration
-
-
-def test_the_facts_are_in_one_line(tracked, two_cameras, clouds_only):
-    line = lead_line(tracked, two_cameras)
-    for fact in ("6 frames in 0.5 s", "2 actions", "2 cameras", "towel", "169 vertices"):
-        assert fact in line
-    assert "point clouds only" in lead_line(tracked, clouds_only)
 
 
 def test_each_action_shows_its_chosen_parameters_and_marks_one_candidate(tracked, two_cameras):
@@ -35,10 +28,12 @@ def test_settings_are_shown_as_they_are_and_cannot_break_out(tracked, two_camera
     assert "<script>" not in html
 
 
-def test_an_unknown_distance_is_left_out(tracked):
-    nothing = ObservedSteps([], np.full(6, np.nan), np.full(6, np.nan))
-    shown = figures_of(tracked, nothing, np.full(6, 0.01))
-    figures = {one.name: one.value for one in shown}
-    assert figures["Distance to cloud, median"] == ""
-    assert figures["Edge strain, mean"] == "1.00"
-    assert figures["Corrections dropped"] == "1"
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.2])
+def test_strain_is_the_change_of_scale(tracked, scale):
+    grown = replace(tracked, positions=np.repeat(scale * tracked.mesh.vertices[None], 6, axis=0))
+    np.testing.assert_allclose(edge_strains(grown), abs(scale - 1), atol=1e-6)
+
+
+def test_dropped_corrections_are_marked(tracked):
+    search = next(c for c in charts(tracked, np.zeros(6), np.zeros(6)) if c.title == "Line search")
+    assert search.marks == (3,)

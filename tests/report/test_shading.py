@@ -1,4 +1,3 @@
-import cv2
 import numpy as np
 import pytest
 
@@ -26,20 +25,6 @@ def test_each_side_has_its_hue_and_lambert_brightness(faces, hue):
     still = Shader(faces, above(), config=config).render(SQUARE)
     brightness = config.ambient + (1.08 - config.ambient) * 0.8
     np.testing.assert_allclose(shown(still), np.clip(np.multiply(hue, brightness), 0, 1), atol=4e-3)
-
-
-@pytest.mark.parametrize("degrees", [0, 25, 50])
-def test_brightness_follows_the_cosine_of_the_tilt(degrees):
-    config = ShadingConfig(
-        edge_darkening=0.0, depth_darkening=0.0, light=(0.0, 0.0, -1.0), ambient=0.2
-    )
-    angle = np.radians(degrees)
-    turn = np.array(
-        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
-    )
-    still = Shader(FACES, above(), config=config).render(SQUARE @ turn.T)
-    expected = np.multiply(OUTSIDE, 0.2 + 0.88 * np.cos(angle))
-    np.testing.assert_allclose(shown(still), expected, atol=4e-3)
 
 
 def test_vertex_colors_are_linear_over_the_cloth():
@@ -82,22 +67,3 @@ def test_a_step_between_layers_is_drawn_dark():
     edge = camera.cx + camera.fx * 0.05 / 0.48
     assert np.abs(np.flatnonzero(darker) - edge).min() <= 1.5
     assert not darker[75:85].any()
-
-
-def test_supersampling_keeps_the_size_and_the_place():
-    camera = above()
-    rough = Shader(FACES, camera).render(SQUARE)
-    fine = Shader(FACES, camera, config=ShadingConfig(supersampling=2)).render(SQUARE)
-    assert fine.image.shape == rough.image.shape
-    square = np.ones((3, 3), np.uint8)
-    inner, outer = (
-        change(rough.cloth.astype(np.uint8), square) > 0 for change in (cv2.erode, cv2.dilate)
-    )
-    assert fine.cloth[inner].all()
-    assert not fine.cloth[~outer].any()
-
-
-def test_an_empty_view_is_background():
-    still = Shader(FACES, above()).render(SQUARE + np.array([10.0, 0, 0]))
-    assert not still.cloth.any()
-    assert (still.image == still.image[0, 0]).all()

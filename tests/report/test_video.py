@@ -1,9 +1,11 @@
+import resource
+
 import av
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.report.video import frame_rate, write_video
+from clothtrack.errors import InvalidConfigError, StorageError
+from clothtrack.report.video import frame_rate, write_picture, write_video
 
 
 def test_a_browser_gets_what_was_drawn(tmp_path):
@@ -31,3 +33,16 @@ def test_no_picture_is_no_video(tmp_path):
 )
 def test_the_video_runs_as_fast_as_the_recording(times, rate):
     assert frame_rate(times) == pytest.approx(rate)
+
+
+def test_a_full_disk_is_one_error_and_nothing_said_besides(tmp_path, rng, capfd):
+    picture = rng.integers(0, 256, (200, 300, 3), dtype=np.uint8)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(StorageError, match=r"sheet.* free some space"):
+            write_picture(tmp_path / "sheet.png", picture)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr().err == ""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.report.viewpoint import look_at, three_quarter_view, upright
+from clothtrack.report.viewpoint import look_at, three_quarter_view
 
 
 @pytest.mark.parametrize(
@@ -13,14 +13,6 @@ def test_the_target_is_in_the_middle_and_up_is_up(eye):
     np.testing.assert_allclose(pixels[0], (50, 40), atol=1e-9)
     np.testing.assert_allclose(depth[0], np.linalg.norm(eye))
     assert pixels[1, 1] <= pixels[0, 1] + 1e-9
-
-
-def test_the_field_of_view_is_the_vertical_one():
-    camera = look_at(
-        np.array([0.0, -1.0, 0.0]), np.zeros(3), width=300, height=200, field_of_view_deg=60.0
-    )
-    pixels, _ = camera.project(np.array([[0.0, 0.0, np.tan(np.radians(30))]]))
-    np.testing.assert_allclose(pixels[0, 1], -0.5, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -37,9 +29,3 @@ def test_a_three_quarter_view_holds_everything_and_wastes_little(seed):
     assert (pixels < size - 0.5).all()
     assert (np.ptp(pixels, axis=0) / size).max() > 0.75
     assert camera.position[2] > points[:, 2].mean()
-
-
-def test_up_may_be_another_direction():
-    points = np.random.default_rng(0).normal(size=(50, 3))
-    camera = three_quarter_view(points, up=(0.0, -1.0, 0.0))
-    assert upright(camera)[1] < -0.5

@@ -6,7 +6,7 @@ from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.solver import ClothSolver
-from clothtrack.simulation.state import Attachment, pull_rate, pull_strength
+from clothtrack.simulation.state import Attachment
 
 MESH = towel(0.06, 0.06, 0.01)
 CORNER = np.array([0])
@@ -20,29 +20,6 @@ def dynamics():
 
 def attachment(targets, strength):
     return Attachment(targets[None], np.full((1, MESH.vertex_count), strength))
-
-
-def test_held_vertices_pass_their_way_points(dynamics):
-    corner = MESH.vertices[0]
-    way = np.stack([corner, corner + 0.02 * UP, corner + 0.03 * UP])[:, None]
-    result = dynamics.roll_out(dynamics.solver.save(), HeldMotion(CORNER, way), 0.2)
-    np.testing.assert_allclose(result.positions[0, 0], way[-1, 0], atol=1e-6)
-
-
-def test_way_points_are_linear_between_knots():
-    motion = HeldMotion(CORNER, np.array([[[0.0, 0, 0]], [[1.0, 0, 0]], [[1.0, 2.0, 0]]]))
-    np.testing.assert_allclose(motion.at(0.25)[0, 0], [0.5, 0, 0])
-    np.testing.assert_allclose(motion.at(0.75)[0, 0], [1.0, 1.0, 0])
-    np.testing.assert_allclose(motion.at(1.0)[0, 0], [1.0, 2.0, 0])
-    assert motion.longest_path_m == pytest.approx(2 * 2.0)
-
-
-def test_each_environment_follows_its_own_way():
-    solver = ClothSolver(MESH, SolverConfig(), environments=2)
-    corner = MESH.vertices[0]
-    ways = np.stack([np.stack([corner, corner + height * UP])[:, None] for height in (0.01, 0.02)])
-    result = ClothDynamics(solver).roll_out(solver.save(), HeldMotion(CORNER, ways), 0.1)
-    np.testing.assert_allclose(result.positions[:, 0], ways[:, -1, 0], atol=1e-6)
 
 
 def test_a_hard_pseudo_action_places_every_vertex(dynamics):
@@ -71,25 +48,6 @@ def test_a_soft_pull_closes_its_share_in_any_number_of_steps(duration_s):
     result = dynamics.roll_out(dynamics.solver.save(), None, duration_s, pull)
     moved = result.positions[0] - MESH.vertices
     np.testing.assert_allclose(moved[:, 2], 0.008, rtol=0.02)
-
-
-def test_the_picker_goes_before_the_pseudo_action(dynamics):
-    corner = MESH.vertices[0]
-    way = np.stack([corner, corner + 0.01 * UP])[:, None]
-    result = dynamics.roll_out(
-        dynamics.solver.save(),
-        HeldMotion(CORNER, way),
-        0.05,
-        attachment(MESH.vertices, 0.5),
-    )
-    np.testing.assert_allclose(result.positions[0, 0], way[-1, 0], atol=1e-6)
-
-
-def test_a_spring_is_cut_into_equal_springs():
-    whole = pull_rate(np.array([0.3, 0.9]), 0.2)
-    part = pull_strength(whole, 0.05)
-    np.testing.assert_allclose(pull_rate(part, 0.05), whole, rtol=2e-3)
-    assert (part < np.array([0.3, 0.9])).all()
 
 
 def test_a_coarse_prediction_is_the_roll_out_with_longer_substeps():

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.garments.garment_meshes import tshirt
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
@@ -46,67 +45,12 @@ def approach(edge_contact: bool) -> ClothSolver:
     return solver
 
 
-def test_ridges_pass_through_each_other_without_edge_contact():
-    assert separation(approach(False)) < 0.0
-
-
 def test_ridges_stop_each_other_and_keep_their_momentum():
     solver = approach(True)
     assert separation(solver) > 0.001
     masses = solver._buffers.masses.numpy()
     momentum = masses @ solver.velocities[0]
     np.testing.assert_allclose(momentum, [0, 0, -0.5 * masses[4:].sum()], atol=2e-3 * masses.sum())
-
-
-def test_flat_layers_list_no_edges():
-    x, y = np.meshgrid(np.arange(6) * 0.01, np.arange(6) * 0.01)
-    layer = np.stack([x.ravel(), y.ravel(), np.zeros(36)], axis=1)
-    first = np.array([[i, i + 1, i + 6] for r in range(5) for i in range(6 * r, 6 * r + 5)])
-    second = np.array([[i + 1, i + 7, i + 6] for r in range(5) for i in range(6 * r, 6 * r + 5)])
-    faces = np.concatenate([first, second])
-    mesh = flat_mesh(
-        np.concatenate([layer, layer + (0.003, 0.002, 0.004)]), np.concatenate([faces, faces + 36])
-    )
-    solver = ClothSolver(mesh, CONFIG, parameters=STIFF)
-    solver.step(0.001)
-    assert solver._contact._edges._totals.numpy().tolist() == [0]
-
-
-def test_every_bent_edge_at_an_edge_is_listed_with_it():
-    mesh = tshirt(0.15, 0.13, 0.012)
-    solver = ClothSolver(mesh)
-    solver.step(1e-3)
-    noise = np.random.default_rng(0).normal(scale=0.002, size=mesh.vertices.shape)
-    solver.place(mesh.vertices * (0.9, 0.9, 0.5) + noise)
-    edges = solver._contact._edges
-    edges.find()
-    assert not solver.contact_overflows.any()
-    placed = solver.positions[0].astype(np.float64)
-    start, along = placed[mesh.edges[:, 0]], np.diff(placed[mesh.edges], axis=1)[:, 0]
-    normal = np.cross(along[:, None], along)
-    square = (normal**2).sum(axis=2)
-    between = start - start[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = (np.cross(between, along) * normal).sum(axis=2) / square
-        t = (np.cross(between, along[:, None]) * normal).sum(axis=2) / square
-        gap = np.abs((between * normal).sum(axis=2)) / np.sqrt(square)
-    lengths = (along**2).sum(axis=1)
-    a, b, c = placed[mesh.faces].swapaxes(0, 1)
-    unit = np.cross(b - a, c - a)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    beside = edges._sides.numpy()
-    bent = (beside[:, 1] < 0) | ((unit[beside[:, 0]] * unit[beside[:, 1]]).sum(axis=1) < 0.939)
-    near = (np.minimum(s, t) > 1e-4) & (np.maximum(s, t) < 1.0 - 1e-4)
-    near &= (square > 0.00251 * lengths[:, None] * lengths) & (bent[:, None] | bent)
-    near &= gap < 0.7 * solver.config.thickness_m - 1e-6
-    near &= (mesh.edges[:, None, :, None] != mesh.edges[:, None]).all(axis=(2, 3))
-    assert near.sum() > 100
-    partners, counts = edges._partners.numpy()[0], edges._counts.numpy()[0]
-    filled = np.arange(partners.shape[1]) < counts[:, None]
-    found = np.zeros(near.shape, bool)
-    found[np.nonzero(filled)[0], np.abs(partners[filled]) - 1] = True
-    assert not (found & found.T).any()
-    assert not (near & ~(found | found.T)).any()
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.7])
@@ -143,14 +87,3 @@ def test_what_edges_want_is_the_sum_over_all_pairs(friction):
     expected = (weights * inverse)[:, None] * impulse
     np.testing.assert_allclose(buffers.moves.numpy()[0, [0, 1, 4, 5]], expected, atol=1e-8)
     assert not buffers.moves.numpy()[0, [2, 3, 6, 7]].any()
-
-
-def test_a_batch_has_the_bits_of_a_single_run():
-    parameters = [STIFF, replace(STIFF, particle_friction=0.5)]
-    batch = ClothSolver(two_roofs(0.002), CONFIG, parameters=parameters, environments=2)
-    single = ClothSolver(two_roofs(0.002), CONFIG, parameters=parameters[1])
-    velocities = np.random.default_rng(1).normal(scale=0.3, size=(8, 3))
-    for solver in (batch, single):
-        solver.set_velocities(velocities)
-        solver.step(0.02)
-    np.testing.assert_array_equal(batch.positions[1], single.positions[0])

@@ -9,13 +9,11 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.garments.flat_template import make_template
 from clothtrack.garments.outlines import (
     ShirtOutline,
-    TrousersOutline,
     draw_shirt,
     draw_trousers,
 )
 from clothtrack.garments.silhouettes import signed_area, silhouette
 from clothtrack.garments.triangulation import Span
-from clothtrack.simulation.solver import ClothSolver
 
 HEIGHT, WIDTH = 480, 640
 MIDDLE = np.array([WIDTH / 2, HEIGHT / 2])
@@ -150,31 +148,6 @@ def test_a_rectangle_is_a_towel_and_another_outline_keeps_its_shape():
     assert angled.mesh.vertex_areas.sum() == pytest.approx(0.21, rel=0.03)
     assert boundary_loops(angled.mesh.faces) == 1
     assert np.array_equal(angled.mesh.canonical, angled.mesh.vertices)
-
-
-def test_the_mesh_has_two_layers_that_are_each_others_mirror_image_in_outline():
-    drawn = Drawn([ShirtOutline().spans(0.6, depth=0.03)], np.random.default_rng(1))
-    template = make_template(drawn.outline(), "tshirt", vertex_count=800)
-    mesh = template.mesh
-    front, back = mesh.canonical[:, 2] > 1e-6, mesh.canonical[:, 2] < -1e-6
-    assert 0.7 < front.sum() / back.sum() < 1.4
-    sewn = ~front & ~back
-    mirrored = mesh.vertices[sewn] * (-1, 1, 1)
-    apart = np.linalg.norm(mirrored[:, None] - mesh.vertices[sewn][None], axis=2).min(axis=1)
-    assert apart.max() < 0.012
-    # Neck towards +y: the sleeves are above the middle.
-    widest = mesh.vertices[np.abs(mesh.vertices[:, 0]).argmax()]
-    assert widest[1] > 0.0
-
-
-def test_a_template_falls_in_the_solver_and_stays_whole():
-    drawn = Drawn([TrousersOutline().spans(0.5)], np.random.default_rng(2))
-    mesh = make_template(drawn.outline(), "trousers", vertex_count=400).mesh
-    solver = ClothSolver(mesh.with_vertices(mesh.vertices + (0.0, 0.0, 0.2)))
-    solver.step(0.1)
-    edges = mesh.with_vertices(solver.positions[0]).edge_lengths / mesh.edge_lengths
-    assert np.isfinite(solver.positions).all()
-    assert edges.max() < 1.2
 
 
 def test_ends_that_a_person_points_at_are_taken():

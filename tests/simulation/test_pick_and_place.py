@@ -11,7 +11,6 @@ from clothtrack.simulation.pick_and_place import (
     ActionConfig,
     carrying_path,
     folded_vertices,
-    free_path,
     plan_action,
 )
 
@@ -19,7 +18,7 @@ CONFIG = ActionConfig()
 STEP_S = 0.005
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_plans_keep_to_their_ranges(seed: int) -> None:
     cloth = tshirt(0.4, 0.36, 0.02)
     plan = plan_action(cloth, CONFIG, np.random.default_rng(seed))
@@ -42,13 +41,6 @@ def test_grasps_take_the_upper_layer_and_sometimes_the_lower_one_too() -> None:
     assert all(side[plan.held[1]] < 0 for plan in double)
 
 
-def test_picks_are_mostly_near_the_outline() -> None:
-    cloth = towel(0.3, 0.3, 0.015)
-    plans = [plan_action(cloth, CONFIG, np.random.default_rng(seed)) for seed in range(60)]
-    from_middle = np.array([np.abs(plan.pick[:2]).max() for plan in plans])
-    assert 0.6 < (from_middle > 0.12).mean() < 1.0
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_carrying_path_is_smooth_and_fits_the_pictures(seed: int) -> None:
     cloth = towel(0.3, 0.3, 0.015)
@@ -60,14 +52,6 @@ def test_carrying_path_is_smooth_and_fits_the_pictures(seed: int) -> None:
     assert speeds.max() < 1.02 * CONFIG.speed
     assert speeds[[0, -1]].max() < 0.2 * CONFIG.speed
     assert path[:, 2].max() >= plan.pick[2] + 0.95 * plan.lift_m
-
-
-def test_free_path_ends_at_its_end() -> None:
-    start, end = np.zeros(3), np.array([0.3, 0.0, 0.4])
-    path = free_path(start, end, CONFIG)
-    assert np.allclose(path[-1], end)
-    steps = np.linalg.norm(np.diff(path, axis=0, prepend=start[None]), axis=1)
-    assert steps.max() <= CONFIG.free_speed / CONFIG.frame_rate + 1e-9
 
 
 def folded_over(cloth: ClothMesh) -> ClothMesh:
@@ -89,19 +73,7 @@ def test_folded_vertices_are_those_with_other_cloth_over_or_under_them() -> None
     assert not found[x < -0.07].any()
 
 
-def test_two_layers_of_a_flat_garment_are_no_fold() -> None:
-    assert not folded_vertices(tshirt(0.5, 0.45, 0.02), 0.01).any()
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_picks_in_the_middle_are_there(seed: int) -> None:
-    cloth = towel(0.3, 0.3, 0.015)
-    config = replace(CONFIG, picks="middle")
-    plan = plan_action(cloth, config, np.random.default_rng(seed))
-    assert np.linalg.norm(plan.pick[:2]) < 0.05
-
-
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_picks_of_a_fold_take_all_its_layers_inwards(seed: int) -> None:
     cloth = folded_over(towel(0.3, 0.3, 0.015))
     config = replace(CONFIG, picks="folded", both_layers=0.0)
@@ -112,28 +84,3 @@ def test_picks_of_a_fold_take_all_its_layers_inwards(seed: int) -> None:
     way = plan.place[:2] - plan.pick[:2]
     inward = middle - plan.pick[:2]
     assert way @ inward > 0.7 * np.linalg.norm(way) * np.linalg.norm(inward)
-
-
-def test_what_is_pulled_is_taken_at_the_outline_and_carried_outwards() -> None:
-    cloth = towel(0.2, 0.2, 0.01)
-    config = replace(CONFIG, picks="pulled", reach_m=0.4)
-    plans = [plan_action(cloth, config, np.random.default_rng(seed)) for seed in range(60)]
-    picks, places = (np.array([getattr(plan, name)[:2] for plan in plans])
-                     for name in ("pick", "place"))  # fmt: skip
-    assert 0.6 < (np.abs(picks).max(axis=1) > 0.08).mean() < 1.0
-    farther = np.linalg.norm(places, axis=1) > np.linalg.norm(picks, axis=1)
-    assert 0.7 < farther.mean() < 1.0
-
-
-def test_a_stack_may_be_laid_down_by_its_lowest_layer() -> None:
-    cloth = folded_over(towel(0.3, 0.3, 0.015))
-    tip, stack = (
-        plan_action(
-            cloth,
-            replace(CONFIG, picks="folded", clear_held=clear),
-            np.random.default_rng(0),
-        )
-        for clear in (False, True)
-    )
-    assert np.array_equal(tip.held, stack.held)
-    assert stack.place[2] - tip.place[2] == pytest.approx(0.004)

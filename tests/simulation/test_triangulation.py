@@ -5,8 +5,6 @@ import pytest
 
 from clothtrack.garments.triangulation import (
     Span,
-    distance_to_polyline,
-    inside,
     triangulate,
 )
 
@@ -19,19 +17,6 @@ def spans_of(polygon: np.ndarray, sewn: list[bool]) -> list[Span]:
     return [
         Span(np.array(pair), sewn=flag) for *pair, flag in zip(polygon, ends, sewn, strict=True)
     ]
-
-
-def test_distance_to_a_bent_line() -> None:
-    line = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-    points = np.array([[0.5, 0.2], [-3.0, 4.0], [1.3, 0.5], [2.0, 2.0], [1.0, 0.3]])
-    assert np.allclose(distance_to_polyline(points, line), [0.2, 5.0, 0.3, np.sqrt(2.0), 0.0])
-
-
-def test_inside_of_an_l_shape() -> None:
-    points = np.random.default_rng(0).uniform(-0.05, 0.35, (2000, 2))
-    x, y = points.T
-    truth = (x > 0) & (y > 0) & (((x < 0.3) & (y < 0.1)) | ((x < 0.1) & (y < 0.3)))
-    assert np.array_equal(inside(points, L_SHAPE), truth)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -56,11 +41,3 @@ def test_no_inner_edge_joins_two_sewn_vertices(seed: int) -> None:
     inner = edges[counts == 2]
     assert len(inner) > 20
     assert not piece.sewn[inner].all(axis=1).any()
-
-
-def test_sewn_spans_own_their_corners() -> None:
-    flags = [True, False, False, False, False, False]
-    piece = triangulate(spans_of(L_SHAPE, flags), 0.02, 0)
-    sewn = piece.points[piece.sewn]
-    assert np.allclose(sewn[:, 1], 0.0)
-    assert {0.0, 0.3} <= set(sewn[:, 0].tolist())

@@ -37,15 +37,11 @@ def turned(axis, degrees):
 
 
 PUSHED = {
-    "an edge, upright, 2 cm deep": ((1, 0.03, 0), 90, (0.011, 0.013, 0.133)),
     "an edge, upright, 6 cm deep": ((1, 0.03, 0), 90, (0.011, 0.013, 0.093)),
     "an edge at 60 degrees": ((1, 0.1, 0), 60, (0.0, 0.02, 0.10)),
-    "an edge at 30 degrees": ((1, 0.1, 0), 30, (0.013, 0.02, 0.06)),
     "an edge at 15 degrees": ((1, 0.1, 0), 15, (0.01, 0.03, 0.03)),
     "a corner": ((1, 1, 0), 50, (0.01, 0.02, 0.12)),
-    "a corner, deep": ((1, -1, 0.1), 70, (0.02, 0.01, 0.12)),
     "half beside the other": ((1, 0.03, 0), 80, (0.17, 0.01, 0.11)),
-    "a corner and a corner": ((1, 0.4, 0.02), 35, (0.2, 0.17, 0.02)),
     "nearly flat": ((1, 0.3, 0), 5, (0.1, 0.08, 0.002)),
 }
 
@@ -95,13 +91,6 @@ def test_a_bulge_goes_back_through_its_closed_contour():
     assert strains(mesh, result.positions).max() < 0.05
 
 
-def test_an_open_contour_ends_at_rims():
-    given = pushed("an edge, upright, 2 cm deep")
-    search = SelfIntersection(TWO)
-    found = search.contours(given)
-    assert (search.edge_faces[found.edges] < 0).any()
-
-
 def folded_through(flat, fold):
     """A flat cloth folded over along x = `fold`, its end bent down through what it lies on."""
     bend, up, down = 0.05, np.radians(20.0), np.radians(50.0)
@@ -146,24 +135,16 @@ def test_a_mesh_without_crossings_keeps_its_bits():
     assert result.positions.tobytes() == given.tobytes()
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_vertices_far_from_a_crossing_keep_their_bits(dtype):
-    given = pushed("a corner").astype(dtype)
+def test_vertices_far_from_a_crossing_keep_their_bits():
+    given = pushed("a corner")
     result = untangled(TWO, given)
-    bits = np.uint32 if dtype is np.float32 else np.uint64
-    moved = (result.positions.view(bits) != given.view(bits)).any(axis=1)
+    moved = (result.positions != given).any(axis=1)
     assert moved.any()
     search = SelfIntersection(TWO)
     places = given[search.edges[search.contours(given).edges]].mean(axis=1)
     apart = np.linalg.norm(given[:, None] - places, axis=2).min(axis=1)
     assert not moved[apart > 0.16].any()
     assert (apart > 0.16).sum() > 50
-
-
-def test_it_is_deterministic():
-    given = pushed("an edge at 60 degrees")
-    first, again = (untangled(TWO, given) for _ in range(2))
-    assert first.positions.tobytes() == again.positions.tobytes()
 
 
 def test_what_came_before_on_the_same_cloth_does_not_matter():
@@ -203,11 +184,3 @@ def test_a_failure_is_recorded():
     none = untangled(TWO, given, rounds=0)
     assert none.positions.tobytes() == given.tobytes()
     assert none.crossings_after == none.crossings_before
-
-
-def test_what_cannot_be_untangled_is_not_made_worse():
-    """Cloth crumpled beyond sense."""
-    rng = np.random.default_rng(1)
-    given = FLAT * 0.4 + 0.02 * rng.normal(size=FLAT.shape)
-    result = untangled(ClothMesh(FLAT, FACES), given, rounds=5)
-    assert result.crossings_after <= result.crossings_before

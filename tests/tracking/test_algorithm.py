@@ -21,7 +21,7 @@ from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
 from clothtrack.tracking.tracker import Tracker
-from clothtrack.tracking.visible_alignment import no_alignment, only_at
+from clothtrack.tracking.visible_alignment import no_alignment
 
 
 def drift(meters: float) -> Theta:
@@ -136,21 +136,6 @@ def test_every_frame_is_predicted_then_corrected(recording, method):
     assert np.isnan(result.steps.loss_after[action.first_frame])
 
 
-def test_who_watches_is_shown_every_mesh_as_it_is_found(recording, method):
-    shown = []
-
-    def watch(recording, mesh, frame, positions):
-        assert mesh is recording.cloth.template
-        shown.append((frame.index, positions[0, 0]))
-
-    (action,) = recording.actions
-    result = tracked(recording, method, watch=watch)
-    within = range(action.first_frame + 1, action.last_frame + 1)
-    assert [frame for frame, _ in shown] == [0, *within, action.last_frame]
-    found = [result.positions[frame, 0, 0] for frame, _ in shown]
-    np.testing.assert_array_equal([place for _, place in shown], found)
-
-
 def test_without_a_correction_the_dynamics_go_on_alone(recording, method):
     result = tracked(recording, replace(method, align=no_alignment))
     (action,) = recording.actions
@@ -204,38 +189,6 @@ ONE_CANDIDATE = RunConfig(search=SearchConfig(method="none"))
 
 def tracker(recording: Recording) -> Tracker:
     return Tracker(recording, recording.cloth.template, ONE_CANDIDATE, partial(observe, recording))
-
-
-def test_an_ablation_is_a_function_that_is_exchanged(recording):
-    """An aligner that never corrects, handed in, leaves the dynamics alone inside an action."""
-    mine, ablation = tracker(recording), tracker(recording)
-    mine.method = replace(mine.method, align=lambda predicted, observation: None)
-    seen = only_at({recording.actions[0].last_frame}, partial(observe, recording), recording)
-    ablation.method = replace(ablation.method, align=no_alignment, observe=seen)
-    alone = mine.track().positions
-    np.testing.assert_array_equal(alone, ablation.track().positions)
-    assert not np.array_equal(alone, tracker(recording).track().positions)
-
-
-def test_dynamics_that_are_handed_in_make_their_own_predictions(recording):
-    whole, predicted = tracker(recording), []
-    ours = whole.method.dynamics
-
-    class Mine:
-        def __init__(self, theta):
-            self.dyn = ours(theta)
-
-        def __call__(self, state, action, pseudo_action=None):
-            return self.dyn(state, action, pseudo_action)
-
-        def predict(self, state, action):
-            predicted.append(action)
-            return self.dyn(state, action)
-
-    whole.method = replace(whole.method, dynamics=Mine, at_rest=never_at_rest)
-    whole.track()
-    (action,) = recording.actions
-    assert len(predicted) == action.last_frame - action.first_frame
 
 
 def test_a_mesh_at_rest_stays_and_is_compared_with_the_frame_that_it_was_moved_into(

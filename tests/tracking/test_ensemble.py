@@ -10,7 +10,6 @@ from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.ensemble import (
     SCORE_SCALE,
     MeanOfCandidates,
-    best_candidate,
     ensemble_spread,
     mean_end,
 )
@@ -36,11 +35,6 @@ def test_candidates_that_fit_alike_weigh_alike_and_bad_ones_nothing():
     np.testing.assert_allclose(mean_end(ends[:2], [0.0, 0.0]), 0.5)
 
 
-@pytest.mark.parametrize("scores", [[], [0.1], [0.1, np.inf]])
-def test_one_candidate_has_no_mean(scores):
-    assert mean_end([np.zeros((4, 3))] * len(scores), scores).shape == (0, 3)
-
-
 def tracked(recording, state) -> TrackedCandidate:
     """A candidate that ends with this state."""
     candidate = Candidate(RunConfig().cloth.theta(), HeldCloth((), np.zeros(3)))
@@ -62,12 +56,3 @@ def test_the_cloth_is_rolled_to_the_mean_however_near_it_is(recording, shift_m):
     off = np.linalg.norm(moved.positions[0] - before.positions[0] - shift, axis=1)
     assert off.max() < 0.1 * shift_m
     assert not moved.velocities.any()
-
-
-def test_one_candidate_is_left_as_it_is(recording):
-    solver = ClothSolver(recording.cloth.template, SolverConfig())
-    state = solver.save()
-    move = MeanOfCandidates(ClothDynamics(solver), "towel")
-    best = tracked(recording, state)
-    assert move(best, [state.positions[0]], [0.1]) is state
-    assert best_candidate(best, [state.positions[0]] * 2, [0.1, 0.1]) is state

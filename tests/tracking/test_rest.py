@@ -8,7 +8,7 @@ from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.simulation.picker_action import HeldMotion, PickerAction
-from clothtrack.tracking.rest import PicturesAtRest, averaged_change
+from clothtrack.tracking.rest import PicturesAtRest
 
 CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, np.diag([1.0, -1.0, -1.0, 1.0]))
 FREE = PickerAction(None, 0.1)
@@ -57,12 +57,3 @@ def test_what_moves_beside_the_cloth_does_not_count(still):
 
 def test_a_held_cloth_is_never_at_rest(still):
     assert not still(depth(0.0), depth(0.0), HOLDING)
-
-
-def test_averaging_lowers_noise_by_the_width_of_its_windows():
-    rng = np.random.default_rng(0)
-    before, after = rng.normal(0.8, 0.002, (2, 200, 200))
-    change = averaged_change(before, after)
-    assert np.median(change) == pytest.approx(0.6745 * np.sqrt(2) * 0.002 / 5, rel=0.1)
-    after[:100] = 0.0
-    assert np.isnan(averaged_change(before, after)[:90]).all()

@@ -12,7 +12,6 @@ from clothtrack.tracking.search import Scores, SearchConfig, coordinate_descent,
 START = replace(RunConfig().cloth.theta(), table_friction=1.0, particle_friction=1.0)
 AXES = dict(PAPER_AXES)
 BEST = (1e-2, 3.0, 0.3)
-SIZE = int(np.prod([len(values) for values in AXES.values()]))
 
 
 def bowl(values) -> float:
@@ -45,31 +44,11 @@ def test_finds_the_optimum_of_a_bowl(propose) -> None:
     assert record.roll_outs == len(record.scores) == len(record.candidates)
 
 
-def test_the_grid_tries_every_combination_once_and_descent_fewer() -> None:
-    chosen, scores = searched(grid(AXES))
-    record = scores.record("grid", "open_loop", chosen)
-    assert len(np.unique(record.candidates, axis=0)) == len(record.scores) == SIZE
-    chosen, scores = searched(descent())
-    assert scores.record("descent", "open_loop", chosen).roll_outs < 0.7 * SIZE
-
-
-def test_parameters_off_the_axes_stay_as_they_were() -> None:
-    start = replace(START, grasp_offset_z_m=-0.02)
-    theta = Scores(AXES).theta(start, BEST)
-    assert theta == replace(start, bend_compliance=1e-2, table_friction=3.0, particle_friction=0.3)
-
-
 def test_an_exploded_candidate_is_the_worst_one() -> None:
     values = iter([np.nan, 2.0, np.inf])
     chosen, scores = searched(grid({"table_friction": (0.1, 0.2, 0.3)}), lambda _: next(values))
     assert chosen == (0.2,)
     assert np.isinf([scores[(0.1,)], scores[(0.3,)]]).all()
-
-
-def test_descent_starts_at_the_previous_optimum() -> None:
-    start = replace(START, table_friction=2.9)
-    asked = next(coordinate_descent(AXES, start, sweeps=2))
-    assert {values[1] for values in asked} == {3.0}
 
 
 def test_descent_ends_as_soon_as_a_candidate_is_good_enough() -> None:
@@ -95,38 +74,11 @@ def test_descent_leaves_a_candidate_only_for_a_clearly_better_one(share, frictio
     assert chosen == (friction,)
 
 
-def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
-    config = SearchConfig()
-    assert config.with_grasp_offset(0.0) is config
-    wider = config.with_grasp_offset(0.02)
-    assert wider.axes["grasp_offset_z_m"] == pytest.approx((-0.02, -0.01, 0.0, 0.01, 0.02))
-    assert next(iter(wider.axes)) == "grasp_offset_z_m"
-    none = SearchConfig(method="none")
-    assert none.with_grasp_offset(0.02) is none
-
-
-def test_progress_expects_a_first_sweep_where_candidates_are_tracked() -> None:
-    assert SearchConfig(axes=AXES, method="tracking").expected_candidates(START) == 6
-    assert SearchConfig(axes=AXES, method="grid").expected_candidates(START) == 1
-
-
 def test_unknown_and_empty_axes_are_refused() -> None:
     with pytest.raises(InvalidConfigError, match="table_friction"):
         SearchConfig(axes={"stickiness": (1.0,)})
     with pytest.raises(InvalidConfigError, match="no value"):
         SearchConfig(axes={"table_friction": ()})
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "named"),
-    [("method", "annealing", "none, grid, descent, tracking"), ("sweeps", 0, "at least 1")],
-)
-def test_settings_that_no_search_can_have_are_refused(field, value, named) -> None:
-    # The type checks of the tests would refuse a wrong word before the configuration itself does.
-    config = SearchConfig()
-    object.__setattr__(config, field, value)
-    with pytest.raises(InvalidConfigError, match=f"{field} is .*{named}"):
-        config.__post_init__()
 
 
 @pytest.mark.parametrize("method", ["grid", "descent"])

@@ -106,17 +106,6 @@ def as_it_comes(components: Components) -> Assembled:
     return replace(default(components), state=state)
 
 
-def test_a_first_mesh_of_which_the_cloud_shows_little_stays_where_it_is(recording, slides):
-    mesh = recording.cloth.template
-    eyes = partial(observe, recording)
-    cut = lambda frame: replace(eyes(frame), lowest_height_m=0.05)  # noqa: E731
-    start = default(Components(recording, mesh, CONFIG, cut)).state
-    np.testing.assert_allclose(start.positions[0], mesh.vertices, atol=1e-6)
-    assert not slides
-    assert len(default(Components(recording, mesh, CONFIG, eyes)).state.positions) == 1
-    assert len(slides) == 1
-
-
 @pytest.mark.parametrize("attach_crossed", [False, True])
 def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
     recording, attach_crossed

@@ -219,13 +219,6 @@ class Matcher:
         """Return the vertex that each cloud point belongs to."""
         return self._nearest.numpy()
 
-    def limits(self) -> np.ndarray:
-        """Return each cloud point's distance to its runner-up plus the path until then [m].
-
-        A search renews the value, so every value that changes indicates a search.
-        """
-        return self._limit.numpy().copy()
-
     def partners(self) -> np.ndarray:
         """Return the cloud point that each vertex is pulled to, or -1."""
         return self.partner.numpy()

@@ -5,8 +5,8 @@ from typing import Literal, get_args
 
 from clothtrack.errors import InvalidConfigError
 
-Format = Literal["obj", "ply", "glb", "npz", "sheet", "mp4", "rrd"]
-FORMATS: dict[str, Format] = {".npz": "npz", ".png": "sheet", ".mp4": "mp4", ".rrd": "rrd"}
+Format = Literal["obj", "ply", "glb", "npz", "sheet", "mp4"]
+FORMATS: dict[str, Format] = {".npz": "npz", ".png": "sheet", ".mp4": "mp4"}
 """The formats that are one file, by suffix."""
 FOLDERS: tuple[Format, ...] = ("obj", "ply", "glb")
 """The formats that are a folder with one file per frame."""

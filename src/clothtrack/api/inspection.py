@@ -1,4 +1,4 @@
-"""Inspection of artifacts: whether they are readable and unchanged, and what is wrong."""
+"""Inspection of artifacts: whether they are readable, and what is wrong."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,11 +19,11 @@ def inspect_many(
     *,
     progress: "Progress | None" = None,
 ) -> "Many[Inspection | Verification]":
-    """Check that artifacts are readable and unchanged, and list what is wrong.
+    """Check that artifacts can be read to their ends, and list what is wrong.
 
     For a recording, report what it holds, what is wrong, and which of its geometry its own pictures
-    contradict. For everything else, report one line: ok, or what is damaged. Everything is read,
-    and checksums are compared where they exist. The exit code is 1 if something is wrong.
+    contradict. For everything else, report one line: ok, or what is damaged. The exit code is 1 if
+    something is wrong.
 
     Args:
         artifacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights

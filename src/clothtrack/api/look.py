@@ -179,21 +179,18 @@ def export(
     format: Format | None = None,  # noqa: A002
     *,
     recordings: Path | str | None = None,
-    truth: "Truth | Path | str | None" = None,
     rows: int = 6,
 ) -> Path:
     """Write a tracked trajectory in a format that other programs read, or as pictures for a paper.
 
     Args:
         run: NAME.zarr that `track` wrote; in Python also a run itself.
-        output: file, whose suffix gives the format (.npz, .png, .mp4, .rrd), or folder (obj, ply,
-            glb: one file per frame).
+        output: file, whose suffix gives the format (.npz, .png, .mp4), or folder (obj, ply, glb:
+            one file per frame).
         format: obj, ply, glb or npz: the meshes; sheet: a contact sheet as PNG; mp4: the mesh over
-            the observation; rrd: everything for Rerun's viewer, needs the extra [rerun]; by default
-            the format of the output's suffix, or obj without a suffix.
-        recordings: for sheet, mp4 and rrd: the recording, or the folder that contains it by name;
+            the observation; by default the format of the output's suffix, or obj without a suffix.
+        recordings: for sheet and mp4: the recording, or the folder that contains it by name;
             by default it is searched as by `load`.
-        truth: for rrd: truth file, or the folder that contains NAME.npz.
         rows: number of frames on the sheet.
 
     Returns:
@@ -206,14 +203,13 @@ def export(
     if rows < 1:
         raise InvalidConfigError(f"rows is {rows}; a sheet needs 1 or more")
     kind = export_format(Path(output), format)
-    from clothtrack.api.run import load, recording_of, truth_of
+    from clothtrack.api.run import load, recording_of
     from clothtrack.report import exports
 
     whole = load(run, recordings) if isinstance(run, Path | str) else run
-    if kind not in ("sheet", "mp4", "rrd"):
+    if kind not in ("sheet", "mp4"):
         return exports.export(whole, Path(output), kind)
-    source, known = recording_of(whole), truth_of(whole, truth)
-    return exports.export_pictures(whole, source, Path(output), kind, rows=rows, truth=known)
+    return exports.export_pictures(whole, recording_of(whole), Path(output), kind, rows=rows)
 
 
 def review_of(run: "TrackedTrajectory") -> "LabelReview":

@@ -171,7 +171,7 @@ def track_many(
             initial_state.source=template (network, flat).
         workers: number of processes; each tracks one recording at a time.
         ray: run on Ray: 'local' with WORKERS processes here, or the address of a cluster, such as
-            auto or ray://HOST:10001; see docs/many_machines.md.
+            auto or ray://HOST:10001; see docs/cli.md.
         device: where to compute: cpu, or cuda:0.
         seed: stored with the result.
         force: continue although the first mesh lies more than 2 cm (rms) from its cloud.

@@ -104,6 +104,13 @@ class Evidence:
     action: int | None = None
 
 
+_NO_LENGTH = Evidence(
+    "known length", 0.0, 0.0, "", "trust", "neither size nor template confirms the focal length",
+    "clothtrack track RECORDING --template FILE",
+)  # fmt: skip
+"""What trust rests on where nothing in a recording has a known length: the plane of the table and
+all that lies on it only grow with the focal length."""
+
 NO_ACTION = "no action, so that no mesh was judged"
 
 
@@ -177,9 +184,10 @@ def trajectory_verdict(
     labels: Sequence[LabelQuality],
     findings: Iterable[Finding] = (),
     later: Iterable[tuple[int, Misplaced]] = (),
+    rests_on: Sequence[Evidence] = (),
 ) -> Verdict:
     """Return the verdict on a trajectory from its worst evidence."""
-    evidence = [_of_finding(finding) for finding in findings]
+    evidence = [*rests_on, *map(_of_finding, findings)]
     for frame, part in later:
         text = f"{part.text}, by frame {frame}, after an action"
         evidence.append(_measured("left behind", part.share, text))
@@ -206,7 +214,10 @@ def judge(
     if labels is None:
         labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
     later = left_behind(tracked, recording, segmenter=segmenter, device=device)
-    return trajectory_verdict(labels, check_geometry(recording, frames), later)
+    cloth = recording.cloth
+    known = cloth.size_m is not None or cloth.template is not None
+    findings = check_geometry(recording, frames)
+    return trajectory_verdict(labels, findings, later, rests_on=() if known else (_NO_LENGTH,))
 
 
 def verdict_of(
@@ -330,7 +341,10 @@ def _verdict(
     against = [one for one in ranked if one.word != "trust"]
     text, up_to = f"expected error {1e3 * expected_m:.1f} mm", f"trusted up to {1e3 * limit_m:.0f}"
     if not against:
-        return Verdict("trust", f"{text} ({up_to})", expected_m, tuple(ranked), limit_m)
+        text += f" ({up_to})"
+        if _NO_LENGTH in ranked:
+            text += f"; {_NO_LENGTH.text}"
+        return Verdict("trust", text, expected_m, tuple(ranked), limit_m)
     worst = against[0]
     notes = [_bound(worst)]
     if not math.isfinite(expected_m):

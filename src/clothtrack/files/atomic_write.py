@@ -6,13 +6,11 @@ import os
 import re
 import shutil
 import signal
-import socket
 import threading
 import time
 import unicodedata
-import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from clothtrack.errors import StorageError
@@ -20,14 +18,13 @@ from clothtrack.errors import StorageError
 _LATE_WRITERS_S = 2.0
 """Longest time [s] that late writers may still write into a folder that is being removed."""
 
-OLD = ".old"
+_OLD = ".old"
 """Suffix of the hidden name of a folder that is being replaced."""
+
+_UNFINISHED = re.compile(r"\.(.*)\.[0-9a-f]{8}\.unfinished(.*)")
 
 _LONGEST_NAME = 200
 """Longest name [characters]; file systems allow 255, including the suffixes that are added."""
-
-_HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
-_MARK = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(?=\.|$)")
 
 
 def name_problem(name: object) -> str:
@@ -74,7 +71,6 @@ def atomic_file(path: Path) -> Iterator[Path]:
     with storage(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _clear_dead_once(path.parent)
             temporary = path.with_name(hidden_name(path.stem, path.suffix))
             temporary.touch(exist_ok=False)
             yield temporary
@@ -102,7 +98,7 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     with storage(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _clear_dead_once(path.parent)
+            clear_leftovers([path])
             if not replace and path.exists() and not _is_empty_folder(path):
                 raise StorageError(
                     f"{path} exists and is not empty; choose another name or remove it"
@@ -114,7 +110,7 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
             if replace and path.exists():
                 if path.is_symlink() or not path.is_dir():
                     raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-                old = temporary.with_name(temporary.name + OLD)
+                old = temporary.with_name(temporary.name + _OLD)
                 os.replace(path, old)
             os.replace(temporary, path)
         finally:
@@ -166,71 +162,27 @@ def _undisturbed() -> Iterator[None]:
 
 
 def hidden_name(name: str, suffix: str = "") -> str:
-    """Return a unique temporary name for what will be called `name`.
-
-    It contains the process ID, so that later processes can recognize the leftovers of dead ones.
-    """
-    return f".{name}.{_HOST}-{os.getpid()}-{os.urandom(4).hex()}{suffix}"
+    """Return a unique temporary name for what will be called `name`."""
+    return f".{name}.{os.urandom(4).hex()}.unfinished{suffix}"
 
 
 def clear_leftovers(paths: Iterable[Path]) -> None:
-    """Remove unfinished files and folders that killed processes have left.
+    """Remove what killed processes have left of unfinished files and folders.
 
-    The caller must hold the lock of the output folder, because leftovers of other machines are
-    removed, too. A folder that a killed process was replacing gets its name back.
+    The caller must be the only writer of these paths. A folder that a killed process was replacing
+    gets its name back.
     """
     wanted = set(paths)
     for folder in {path.parent for path in wanted}:
-        for left, final, host, pid in _leftovers(folder):
-            if final in wanted and not (host == _HOST and _is_alive(pid)):
-                _remove(left, final)
-
-
-def clear_dead(folder: Path) -> None:
-    """Remove everything unfinished that killed processes of this machine have left in a folder."""
-    for left, final, host, pid in _leftovers(folder):
-        if host == _HOST and not _is_alive(pid):
-            _remove(left, final)
-
-
-_CLEARED: set[str] = set()
-"""Folders in which this process has already looked for leftovers of dead processes."""
-
-
-def _clear_dead_once(folder: Path) -> None:
-    """Call `clear_dead` the first time that this process writes into a folder."""
-    name = str(folder.resolve())
-    if name not in _CLEARED:
-        _CLEARED.add(name)
-        clear_dead(folder)
-
-
-def _leftovers(folder: Path) -> Iterator[tuple[Path, Path, str, int]]:
-    """Yield each leftover with a hidden name, its final name, its machine and its process ID."""
-    with storage(folder):
-        for left in folder.glob(".*"):
-            found = _MARK.search(left.name)
-            if found is not None:
-                suffix = left.name[found.end() :]
-                name = left.name[1 : found.start()] + suffix.removesuffix(OLD)
-                yield left, left.with_name(name), found[1], int(found[2])
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
-
-
-def _remove(left: Path, final: Path) -> None:
-    if left.suffix == OLD and not final.exists():
-        with suppress(FileNotFoundError):
-            os.replace(left, final)
-    elif left.is_dir():
-        shutil.rmtree(left, ignore_errors=True)
-    else:
-        left.unlink(missing_ok=True)
+        with storage(folder):
+            for left in folder.glob(".*.unfinished*"):
+                found = _UNFINISHED.fullmatch(left.name)
+                final = found and left.with_name(found[1] + found[2].removesuffix(_OLD))
+                if final not in wanted:
+                    continue
+                if left.suffix == _OLD and not final.exists():
+                    os.replace(left, final)
+                elif left.is_dir():
+                    shutil.rmtree(left, ignore_errors=True)
+                else:
+                    left.unlink(missing_ok=True)

@@ -1,13 +1,16 @@
-"""The commit, the versions, the machine and the processor that a result was made with."""
+"""What a result was made with: settings, commit, versions, machine and processor."""
 
 import importlib.metadata
+import json
 import platform
 import re
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.version import __version__
 
 _VECTORS = ("avx512f", "avx2", "avx", "sse4_2", "sve", "asimd")
@@ -63,3 +66,27 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as they come back from JSON."""
+    return json.loads(json.dumps(asked, default=str))
+
+
+def require_same(path: Path, stored: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Refuse to continue work that was begun with other settings."""
+    for name, was, now in _differing(stored, as_plain(asked)):
+        raise InvalidConfigError(
+            f"{path}: begun with another {name} ({was:.40}, now {now:.40}); choose another folder, "
+            "or remove this one"
+        )
+
+
+def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield the name of each value that differs, with both values as JSON."""
+    if isinstance(stored, Mapping) and isinstance(asked, Mapping):
+        for key in sorted(set(stored) | set(asked)):
+            inner = f"{name}.{key}" if name else key
+            yield from _differing(stored.get(key), asked.get(key), inner)
+    elif stored != asked:
+        yield name, json.dumps(stored), json.dumps(asked)

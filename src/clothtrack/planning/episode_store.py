@@ -20,8 +20,7 @@ import numpy as np
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.files.atomic_write import atomic_file, storage, write_file
-from clothtrack.files.provenance import made_with
-from clothtrack.files.run_manifest import as_plain, require_same
+from clothtrack.files.provenance import as_plain, made_with, require_same
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.perception import Estimate
 from clothtrack.planning.robots.robot import Execution, RgbdFrame

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from clothtrack.files.array_digest import array_digest
 from clothtrack.files.atomic_write import content_hash, storage
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.picker_table import PICKER_FILE
@@ -44,6 +43,12 @@ def recording_digest(recording: Recording) -> str:
         f"{content_hash(path)}  {path.relative_to(folder).as_posix()}\n" for path in files
     )
     return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def array_digest(values: np.ndarray) -> str:
+    """Return the SHA-256 of an array's type, shape and values, in hexadecimal digits."""
+    described = f"{values.dtype.str} {values.shape}".encode()
+    return hashlib.sha256(described + np.ascontiguousarray(values).tobytes()).hexdigest()
 
 
 def _digest_in_memory(recording: Recording) -> str:

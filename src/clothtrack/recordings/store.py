@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import InvalidRecordingError, StorageError
-from clothtrack.files.atomic_write import clear_dead, hidden_name, remove_folder, storage
+from clothtrack.files.atomic_write import clear_leftovers, hidden_name, remove_folder, storage
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.frame_files import PictureKind, conventional_name
 from clothtrack.recordings.picker_table import PICKER_FILE, picker_text
@@ -123,7 +123,7 @@ class RecordingWriter:
         self._paths: dict[str, PickerPath] = {}
         if self._folder.exists():
             raise StorageError(f"{folder} exists; delete it or write to another name")
-        clear_dead(self._folder.parent)
+        clear_leftovers([self._folder])
         self._partial = self._folder.with_name(hidden_name(self._folder.name))
         with storage(self._partial):
             self._partial.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Export of a tracked trajectory as arrays, meshes, a contact sheet, a video or for Rerun."""
+"""Export of a tracked trajectory as arrays, meshes, a contact sheet or a video."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,26 +8,21 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation.truth import Truth
 from clothtrack.files.atomic_write import atomic_file, atomic_folder
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.mesh_file import write_mesh
 from clothtrack.recordings.recording import Recording
-from clothtrack.report.coloring import colorings
-from clothtrack.report.evidence import evidence_of
 from clothtrack.report.overlay import (
     Overlay,
     OverlayConfig,
     write_contact_sheet,
     write_overlay_video,
 )
-from clothtrack.report.rerun_file import write_rerun
-from clothtrack.report.sections import charts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 ExportFormat = Literal["npz", "obj", "ply", "glb"]
-PictureFormat = Literal["sheet", "mp4", "rrd"]
-_SUFFIXES = {"sheet": ".png", "mp4": ".mp4", "rrd": ".rrd"}
+PictureFormat = Literal["sheet", "mp4"]
+_SUFFIXES = {"sheet": ".png", "mp4": ".mp4"}
 
 
 def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:  # noqa: A002
@@ -94,20 +89,9 @@ def export_pictures(
     kind: PictureFormat,
     *,
     rows: int = 6,
-    truth: Truth | None = None,
 ) -> Path:
     """Write a trajectory drawn over its recording, and return the path with its suffix."""
     out = _with_suffix(out, _SUFFIXES[kind])
-    if kind == "rrd":
-        evidence = evidence_of(tracked, recording)
-        return write_rerun(
-            tracked,
-            recording,
-            out,
-            clouds=evidence.clouds,
-            colorings=colorings(tracked, evidence.clouds, truth=truth),
-            charts=charts(tracked, evidence.rms_mm, evidence.floor_mm),
-        )
     overlay = Overlay(tracked, recording, config=OverlayConfig())
     if kind == "sheet":
         return write_contact_sheet(overlay, out, rows=rows)

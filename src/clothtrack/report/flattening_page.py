@@ -1,7 +1,6 @@
 """One offline page per flattening episode: pictures with the next action's arrow, and the curve.
 
-An episode with a control is labeled as such at the top, in the title, at each perceived mesh and in
-every picture of the film strip.
+An episode with a control is labeled as such at the top, in the title and at each perceived mesh.
 """
 
 import time
@@ -12,7 +11,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import cv2
 import numpy as np
 
 from clothtrack.planning.action_space import PickPlace
@@ -25,11 +23,10 @@ from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.document import write_document
-from clothtrack.report.lettering import Picture, caption
+from clothtrack.report.lettering import Picture
 from clothtrack.report.live import live_page
 from clothtrack.report.sections import Figure, key_figures, stills_html
 from clothtrack.report.shading import Shader, ShadingConfig
-from clothtrack.report.video import write_picture
 from clothtrack.report.viewpoint import three_quarter_view
 
 CONTROL = "control, not a result"
@@ -72,22 +69,6 @@ def watched_live(
         yield show
         # Wait until an open page has loaded the last step.
         time.sleep(FAREWELL_S)
-
-
-def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
-    """Write all pictures of an episode with their arrows as one PNG, `columns` per row."""
-    width, height = 320, 240
-    control = ", control" if store.document["asked"]["label"]["control"] else ""
-    tiles = []
-    for number, row in enumerate(store.steps):
-        shown = cv2.resize(_picture(store, number), (width, height), interpolation=cv2.INTER_AREA)
-        words = caption(width, f"after {number}{control}", _share(row), height=24)
-        tiles.append(np.vstack([shown, words]))
-    blank = np.full_like(tiles[0], 255)
-    tiles += [blank] * (-len(tiles) % columns)
-    rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
-    write_picture(path, np.vstack(rows))
-    return path
 
 
 def _figures(store: EpisodeStore) -> list[Figure]:

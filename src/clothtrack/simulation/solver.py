@@ -81,11 +81,6 @@ class ClothSolver:
         """Velocities of every environment [m/s], a copy."""
         return self._buffers.velocities.numpy().copy()
 
-    @property
-    def contact_overflows(self) -> np.ndarray:
-        """Number of contacts without a free slot since the start, per environment."""
-        return self._contact.overflows.numpy().copy()
-
     def set_parameters(self, parameters: ClothParameters | Sequence[ClothParameters]) -> None:
         """Set the material of the environments, one for all or one for each."""
         if isinstance(parameters, ClothParameters):

@@ -2,7 +2,7 @@
 
 A trajectory is one Zarr v3 group. It is written under a temporary name and renamed, so that a
 group under its final name is complete. A resumed run skips recordings with a finished group.
-Damaged groups are rejected, because every array and all attributes have a SHA-256.
+Damaged chunks are refused by their CRC-32C.
 """
 
 from collections.abc import Mapping
@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float, Int
 
 from clothtrack._shown import short_repr
 from clothtrack.errors import InvalidMeshError, InvalidResultError
+from clothtrack.files.arrays import DAMAGE, put_array, take_array
 from clothtrack.files.atomic_write import atomic_folder, name_problem
-from clothtrack.files.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
 from clothtrack.geometry.mesh import ClothMesh
 
 FORMAT = "clothtrack-tracked-trajectory"
@@ -237,8 +237,7 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
                 },
             }
         )
-    seal(
-        group,
+    group.attrs.update(
         {
             "format": FORMAT,
             "version": FORMAT_VERSION,
@@ -247,7 +246,7 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
             "config": dict(tracked.config),
             "provenance": dict(tracked.provenance),
             "verdict": dict(tracked.verdict_fields),
-        },
+        }
     )
 
 
@@ -263,7 +262,7 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
             f"it is of version {stored[1]!r:.80}, this clothtrack reads {FORMAT_VERSION}: another "
             "one wrote it"
         )
-    attributes = sealed_attributes(group)
+    attributes = group.attrs.asdict()
     if problem := name_problem(attributes["name"]):
         raise InvalidResultError(f"its name is {attributes['name']!r:.80}: {problem}")
     attributes.setdefault("verdict", {})  # missing in groups from before it was stored
@@ -272,7 +271,7 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
             raise InvalidResultError(
                 f"its {named} is {attributes[named]!r:.80}, it must be a set of named values"
             )
-    canonical = take_array(group, "canonical") if "canonical" in attributes["contents"] else None
+    canonical = take_array(group, "canonical") if "canonical" in group else None
     mesh = ClothMesh(take_array(group, "rest_positions"), take_array(group, "faces"), canonical)
     frames = take_array(group, "frames")
     count = len(frames)

@@ -9,15 +9,14 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8, UInt16
 
-from clothtrack.errors import InvalidRecordingError, TruncatedError
-from clothtrack.recordings.pictures import SIGNATURE, png_chunks
+from clothtrack.errors import TruncatedError
+from clothtrack.recordings.pictures import SIGNATURE
 from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 
 _TO_RGB = {
@@ -114,8 +113,6 @@ def _mask(data: bytes) -> UInt8[np.ndarray, "height width"]:
 
 def _decoded(data: bytes, flags: int) -> Any:
     encoded_size(data)
-    if data.startswith(SIGNATURE):
-        _chunks(data)
     with suppress(cv2.error):
         if (picture := cv2.imdecode(np.frombuffer(data, np.uint8), flags)) is not None:
             return picture
@@ -124,10 +121,13 @@ def _decoded(data: bytes, flags: int) -> Any:
 
 def _chunks(data: bytes) -> list[tuple[bytes, slice]]:
     """Return the kind of every chunk of a PNG and the slice of its content; refuse damage."""
-    try:
-        chunks = list(png_chunks(Path("a PNG"), data))
-    except InvalidRecordingError as error:
-        raise TruncatedError(str(error)) from error
+    chunks, position = [], len(SIGNATURE)
+    while position + 12 <= len(data):
+        stop = position + 8 + int.from_bytes(data[position : position + 4], "big")
+        if zlib.crc32(data[position + 4 : stop]) != int.from_bytes(data[stop : stop + 4], "big"):
+            raise TruncatedError(f"a PNG that is damaged at byte {position}")
+        chunks.append((data[position + 4 : position + 8], slice(position + 8, stop)))
+        position = stop + 4
     if not chunks or chunks[-1][0] != b"IEND":
         raise TruncatedError("a PNG that breaks off")
     return chunks

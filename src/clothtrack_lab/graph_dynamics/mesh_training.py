@@ -16,16 +16,12 @@ from torch import Tensor
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
-from clothtrack.files.provenance import made_with
 from clothtrack.reconstruction.training.batches import Draw, Subset, split_by_group
-from clothtrack.reconstruction.training.checkpoint import PACKAGES, load_weights
-from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import TrainingOutcome
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
-from clothtrack_lab.graph_dynamics.mesh_card import write_dynamics_card
 from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
 from clothtrack_lab.graph_dynamics.mesh_network import (
     MeshNetwork,
@@ -37,7 +33,6 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
 from clothtrack_lab.graph_dynamics.mesh_prior import Springs
 from clothtrack_lab.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 
-_WHOLE_ERROR = "whole_error_mm"
 _TINY = 1e-12
 """Added under the square root of distances, which has no gradient at 0."""
 
@@ -249,7 +244,7 @@ def train_mesh_dynamics(
         "noise_m": config.noise_m,
         "examples_per_shard": config.examples_per_shard,
     }
-    outcome = train(
+    return train(
         MeshDynamicsStage(config, kind).to(device),
         Subset(examples, chosen),
         Subset(calm, held_out),
@@ -259,19 +254,6 @@ def train_mesh_dynamics(
         data=data,
         progress=progress,
     )
-    if outcome.weights is not None and outcome.status != "interrupted":
-        unseen = [shards[number] for number in sorted({examples.groups[k] for k in held_out})]
-        weights = load_weights(outcome.weights)
-        network = MeshNetwork(config.network).to(device)
-        weights.load_into(network)
-        made = {**made_with(PACKAGES), "device": Processes(device=device).machine}
-        untrained = MeshNetwork(config.network).to(device)
-        whole = {
-            **whole_roll_outs(network, unseen, device=device),
-            "whole_untrained_mm": whole_roll_outs(untrained, unseen, device=device)[_WHOLE_ERROR],
-        }
-        write_dynamics_card(weights, whole, outcome.cpu_s, made)
-    return outcome
 
 
 def whole_roll_outs(
@@ -294,6 +276,6 @@ def whole_roll_outs(
         ends.append((own - last).norm(dim=-1).mean(dim=1))
         still.append((positions[:, 0] - last).norm(dim=-1).mean(dim=1))
     return {
-        _WHOLE_ERROR: 1e3 * float(torch.cat(ends).mean()),
+        "whole_error_mm": 1e3 * float(torch.cat(ends).mean()),
         "whole_still_mm": 1e3 * float(torch.cat(still).mean()),
     }

@@ -8,6 +8,7 @@ the coarse mesh are kept, so that the learned dynamics reproduce motion that the
 cannot represent.
 """
 
+import json
 import logging
 import math
 import zipfile
@@ -21,10 +22,10 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import atomic_file, clear_leftovers
+from clothtrack.files.atomic_write import atomic_file, clear_leftovers, write_file
 from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.progress import Progress
-from clothtrack.files.run_manifest import begin_run
+from clothtrack.files.provenance import as_plain, require_same
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.geometry.mesh import ClothMesh
@@ -176,7 +177,10 @@ def generate_roll_outs(
         raise InvalidConfigError(f"the number of roll-outs is {count}; give at least 1")
     config = config or RollOutConfig()
     shards = math.ceil(count / (config.starts * config.actions))
-    begin_run(out / LIST_FILE, {"kind": kind, "seed": seed, "config": asdict(config)})
+    listed, asked = out / LIST_FILE, {"kind": kind, "seed": seed, "config": asdict(config)}
+    if not listed.exists():
+        write_file(listed, json.dumps(as_plain(asked), indent=1).encode())
+    require_same(listed, json.loads(listed.read_bytes()), asked)
     paths = [out / "shards" / f"{number:04d}.npz" for number in range(shards)]
     missing = [number for number, path in enumerate(paths) if not path.exists()]
     work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)

@@ -10,11 +10,36 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from clothtrack_lab.published_networks.hrnet import HRNet, ResidualBlock, convolution
 from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 _RELIEF_M = 0.03
 """Height above the cloth's mean [m] that is scaled to 1 in the network's input."""
+
+
+def _convolution(inputs: int, outputs: int, *, size: int = 3, stride: int = 1) -> nn.Sequential:
+    """Return a size-preserving convolution (except for its stride) and a batch norm."""
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, size, stride, padding=size // 2, bias=False),
+        nn.BatchNorm2d(outputs),
+    )
+
+
+class _ResidualBlock(nn.Module):
+    """ReLU(x + F(x)), F two 3x3 convolutions."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.residual = nn.Sequential(
+            _convolution(inputs, outputs), nn.ReLU(), _convolution(outputs, outputs)
+        )
+        same = inputs == outputs
+        self.shortcut = nn.Identity() if same else _convolution(inputs, outputs, size=1)
+
+    def forward(
+        self, picture: Float[Tensor, "batch inputs h w"]
+    ) -> Float[Tensor, "batch outputs h w"]:
+        """Return the block's output at the resolution of its input."""
+        return functional.relu(self.shortcut(picture) + self.residual(picture))
 
 
 class _UNet(nn.Module):
@@ -26,22 +51,22 @@ class _UNet(nn.Module):
 
     def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int) -> None:
         super().__init__()
-        self.stem = nn.Sequential(convolution(inputs, widths[0], stride=2), nn.ReLU())
+        self.stem = nn.Sequential(_convolution(inputs, widths[0], stride=2), nn.ReLU())
         befores = (widths[0], *widths[:-1])
         self.down = nn.ModuleList(
-            ResidualBlock(before, width) for before, width in zip(befores, widths, strict=True)
+            _ResidualBlock(before, width) for before, width in zip(befores, widths, strict=True)
         )
         self.up = nn.ModuleList()
         below = widths[-1]
         for width in reversed(widths[:-1]):
             above = max(width, outputs)
-            self.up.append(nn.Sequential(convolution(below + width, above), nn.ReLU()))
+            self.up.append(nn.Sequential(_convolution(below + width, above), nn.ReLU()))
             below = above
         last_is_fit = below == outputs
         self.last = (
             nn.Identity()
             if last_is_fit
-            else nn.Sequential(convolution(below, outputs, size=1), nn.ReLU())
+            else nn.Sequential(_convolution(below, outputs, size=1), nn.ReLU())
         )
         self.channels = outputs
 
@@ -70,29 +95,13 @@ class Canonicaliser(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        if config.encoder == "unet":
-            self.encoder = _UNet(config.depth_channels, config.widths, config.decoder_width)
-        else:
-            self.encoder = HRNet(config.depth_channels, config.widths)
+        self.encoder = _UNet(3, config.widths, config.decoder_width)
         self.channels = self.encoder.channels
-        self.head = (
-            nn.Sequential(
-                nn.Conv2d(self.channels, config.head_width, 1),
-                nn.BatchNorm2d(config.head_width),
-                nn.ReLU(),
-            )
-            if config.head_width
-            else nn.Identity()
-        )
-        if config.head_width:
-            self.channels = config.head_width
         self.bins = nn.Linear(self.channels, 3 * config.bins)
 
     def forward(self, depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch channels h2 w2"]:
         """Return features of the picture, from depth [m] in which 0 is background."""
-        if self.config.depth_channels == 3:
-            depth = relief(depth)
-        return self.head(self.encoder(depth))
+        return self.encoder(relief(depth))
 
     def logits(
         self, features: Float[Tensor, "batch channels h2 w2"], pixels: Int[Tensor, "pixels 3"]
@@ -107,19 +116,9 @@ class Canonicaliser(nn.Module):
     def pixel_features(
         self, features: Float[Tensor, "batch channels h2 w2"], pixels: Int[Tensor, "pixels 3"]
     ) -> Float[Tensor, "pixels channels"]:
-        """Return the feature of each pixel, bilinear if features are coarser than the output."""
+        """Return the feature of each pixel."""
         picture, row, column = pixels.unbind(dim=1)
-        lines = features.permute(0, 2, 3, 1)
-        height, width = features.shape[-2:]
-        size = self.config.output_size
-        if (height, width) == (size, size):
-            return lines[picture, row, column]
-        above, below, down = _neighbors(row, height / size, height)
-        left, right, across = _neighbors(column, width / size, width)
-        down, across = down.to(lines.dtype)[:, None], across.to(lines.dtype)[:, None]
-        top = torch.lerp(lines[picture, above, left], lines[picture, above, right], across)
-        bottom = torch.lerp(lines[picture, below, left], lines[picture, below, right], across)
-        return torch.lerp(top, bottom, down)
+        return features.permute(0, 2, 3, 1)[picture, row, column]
 
 
 def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
@@ -201,11 +200,3 @@ def canonical_loss(
     losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, images)
     shown = torch.bincount(image_of_pixel, minlength=images) > 0
     return (losses.amin(dim=1) * shown).sum() / shown.sum().clamp(min=1)
-
-
-def _neighbors(place: Tensor, scale: float, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the two coarse pixels around a fine one, and its position between them."""
-    at = ((place + 0.5) * scale - 0.5).clamp(0.0, size - 1.0)
-    low = at.floor()
-    high = (low + 1).clamp(max=size - 1)
-    return low.long(), high.long(), at - low

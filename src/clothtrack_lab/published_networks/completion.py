@@ -9,13 +9,22 @@ its volume with the axes reversed. Here a test ensures that a cell filled at (x,
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
+from clothtrack.reconstruction.alignment_frame import Alignment, align
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack_lab.published_networks.canonical_frame import CanonicalFrame
+from clothtrack_lab.published_networks.canonicalisation import Canonicaliser, coordinates
 from clothtrack_lab.published_networks.network_config import NetworkConfig
+
+RESIDUAL_M = 0.1
+"""Displacement for an output of the warp field of 1 [m]."""
 
 QUERIES_AT_ONCE = 1 << 17
 """Number of grid nodes decoded at once, to bound the memory."""
@@ -181,6 +190,88 @@ class Completion(nn.Module):
             for piece in nodes.split(QUERIES_AT_ONCE)
         ]
         return torch.cat(pieces, dim=1)
+
+
+class WarpField(nn.Module):
+    """A decoder of the displacement of canonical points from the completed volume.
+
+    It starts from the canonical pose (MEDOR, arXiv 2209.03287, 3.2), after the observation has been
+    rotated into the canonical frame, so that the network need not learn rotations of the cloth.
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        wide = config.decoder_hidden
+        self.decoder = perceptron((config.volume_channels + 3, wide, wide, 3))
+        # The untrained network predicts the canonical pose.
+        last = self.decoder[-1]
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+
+    def forward(
+        self,
+        volume: Float[Tensor, "batch channels x y z"],
+        queries: Float[Tensor, "batch queries 3"],
+    ) -> Float[Tensor, "batch queries 3"]:
+        """Return displacements [m] in the frame in which the observation is aligned."""
+        read = sample(volume, in_box(queries, self.config))
+        known = torch.cat([read, queries - 0.5], dim=-1)
+        return RESIDUAL_M * self.decoder(known)
+
+
+class ObservedPictures(NamedTuple):
+    """The canonicaliser's output for a batch of pictures.
+
+    Attributes:
+        points: points of all pictures, as input of the completion.
+        seen: points of each picture, in meters.
+        alignments: transform of each picture between the world and the canonical frame.
+    """
+
+    points: ObservedPoints
+    seen: list[SeenPoints]
+    alignments: list[Alignment]
+
+
+@torch.no_grad()
+def observe_pictures(
+    canonicaliser: Canonicaliser,
+    frame: CanonicalFrame,
+    depth: Float[Tensor, "batch 1 h w"],
+    pixels: Int[Tensor, "pixels 3"],
+    points: Float[np.ndarray, "pixels 3"],
+) -> ObservedPictures:
+    """Return canonical positions of chosen pixels, and each picture's alignment with the world.
+
+    Args:
+        depth: input pictures of the networks [m]; 0 is background.
+        points: measured position of each pixel [m], world, z up.
+    """
+    maps = canonicaliser(depth)
+    features = canonicaliser.pixel_features(maps, pixels)
+    unit, confidence = coordinates(canonicaliser.logits(maps, pixels), canonicaliser.config.window)
+    canonical = frame.to_meters(unit.double().cpu().numpy())
+    sure = confidence.double().cpu().numpy().prod(axis=1)
+    picture = pixels[:, 0].cpu().numpy()
+    aligned = np.empty_like(points)
+    seen, alignments = [], []
+    for number in range(len(depth)):
+        own = picture == number
+        one = SeenPoints(points[own], canonical[own], sure[own])
+        alignment = align(one.points, one.canonical, one.confidence)
+        aligned[own] = alignment.to_canonical(one.points)
+        seen.append(one)
+        alignments.append(alignment)
+    of_batch = ObservedPoints(
+        features=features,
+        unit=unit,
+        confidence=confidence,
+        aligned=torch.from_numpy(aligned).to(unit) * frame.scale,
+        image=pixels[:, 0],
+        images=len(depth),
+    )
+    return ObservedPictures(of_batch, seen, alignments)
 
 
 def _double(inputs: int, middle: int, outputs: int) -> nn.Sequential:

@@ -29,9 +29,8 @@ from clothtrack_lab.published_networks.canonical_frame import (
     conventional,
 )
 from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
-from clothtrack_lab.published_networks.completion import Completion
+from clothtrack_lab.published_networks.completion import Completion, WarpField, observe_pictures
 from clothtrack_lab.published_networks.network_config import PRESETS, NetworkConfig
-from clothtrack_lab.published_networks.observation import observe_pictures
 from clothtrack_lab.published_networks.surface import extract_surface, field_grid
 from clothtrack_lab.published_networks.template_fit import (
     NO_CANONICAL,
@@ -39,7 +38,6 @@ from clothtrack_lab.published_networks.template_fit import (
     fit_template,
     template_of,
 )
-from clothtrack_lab.published_networks.warp_field import WarpField
 
 
 class MeshReconstructor(nn.Module):
@@ -243,6 +241,10 @@ def _reconstruction(
     return Reconstruction(mesh, status, camera, canonical, confidence, observed.seen, rest)
 
 
+_FORMER = {"encoder": "unet", "depth_channels": 3, "head_width": 0, "output_stride": 2}
+"""Sizes that weights name and that no network varies any more."""
+
+
 def network_of(weights: Weights) -> NetworkConfig:
     """Return the configuration of the networks for weights of both stages.
 
@@ -253,6 +255,7 @@ def network_of(weights: Weights) -> NetworkConfig:
         values = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in weights.network.items()
+            if _FORMER.get(name) != value
         }
         network = NetworkConfig(**values)
         with torch.device("meta"):

@@ -1,7 +1,6 @@
-"""Sizes of the reconstruction network and its two presets."""
+"""Sizes of the reconstruction network."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 from clothtrack.errors import InvalidConfigError
 
@@ -9,8 +8,6 @@ _COUNTS = {
     "image_size": (1, 1024),
     "widths": (1, 2048),
     "decoder_width": (1, 2048),
-    "head_width": (0, 2048),
-    "output_stride": (1, 16),
     "bins": (1, 1024),
     "window": (0, 64),
     "volume": (1, 128),
@@ -41,14 +38,8 @@ class NetworkConfig:
         view_margin: free border around the cloth, as a share of its longer side.
         least_view_m: shortest side of the square shown in the picture [m], so that a bunched cloth
             is not magnified further.
-        depth_channels: 1 feeds depth in meters (MEDOR); 3 feeds the silhouette, the height above
-            the cloth's mean and that mean depth, so that an untrained network can resolve
-            millimeters.
-        encoder: "unet", or "hrnet_w32" (arXiv 1908.07919) as in MEDOR.
         widths: channels of the encoder at each resolution, halved from one to the next.
-        decoder_width: channels of a pixel's feature in the output of the "unet".
-        head_width: channels of the hidden layer before the bins; 0 for no hidden layer.
-        output_stride: input pixels per output pixel.
+        decoder_width: channels of a pixel's feature.
         bins: number of bins per canonical axis.
         window: bins on either side of the best one over which a coordinate is averaged.
         volume: cells along each edge of the cube in the feature volume.
@@ -73,12 +64,8 @@ class NetworkConfig:
     field_of_view_deg: float = 45.0
     view_margin: float = 0.08
     least_view_m: float = 0.15
-    depth_channels: Literal[1, 3] = 3
-    encoder: str = "unet"
     widths: tuple[int, ...] = (32, 64, 96, 128, 160)
     decoder_width: int = 64
-    head_width: int = 0
-    output_stride: int = 2
     bins: int = 64
     window: int = 2
     volume: int = 32
@@ -101,18 +88,6 @@ class NetworkConfig:
             InvalidConfigError: with the field, its value and the limit.
         """
         _check_numbers(self)
-        if self.encoder not in ("unet", "hrnet_w32"):
-            raise InvalidConfigError(
-                f'NetworkConfig.encoder is {self.encoder!r}; choose "unet" or "hrnet_w32"'
-            )
-        if self.encoder == "hrnet_w32" and len(self.widths) != 4:
-            raise InvalidConfigError(
-                f"NetworkConfig.widths is {self.widths}; hrnet_w32 has 4 resolutions"
-            )
-        if self.depth_channels not in (1, 3):
-            raise InvalidConfigError(
-                f"NetworkConfig.depth_channels is {self.depth_channels}; choose 1 or 3"
-            )
         if self.image_size % self.output_stride:
             raise InvalidConfigError(
                 f"NetworkConfig.image_size is {self.image_size}; it must be a multiple of "
@@ -130,6 +105,11 @@ class NetworkConfig:
                 f"NetworkConfig.volume_depth is {self.volume_depth}; it must be volume "
                 f"({self.volume}) or less"
             )
+
+    @property
+    def output_stride(self) -> int:
+        """Input pixels per output pixel."""
+        return 2
 
     @property
     def volume_cells(self) -> tuple[int, int, int]:
@@ -165,22 +145,6 @@ def _check_numbers(config: NetworkConfig) -> None:
 PRESETS: dict[str, NetworkConfig] = {
     # For two processor cores; docs/method.md lists the cost of each size.
     "small": NetworkConfig(),
-    # MEDOR (arXiv 2209.03287) as published, on GarmentNets' volume (arXiv 2104.05177).
-    "reference": NetworkConfig(
-        image_size=200,
-        depth_channels=1,
-        encoder="hrnet_w32",
-        widths=(32, 64, 128, 256),
-        decoder_width=480,
-        head_width=480,
-        output_stride=1,
-        volume_depth=32,
-        volume_channels=128,
-        point_hidden=489,
-        volume_widths=(32, 64, 128, 256),
-        decoder_hidden=256,
-        grid=128,
-    ),
 }
 """Network configurations by name."""
 

@@ -11,7 +11,7 @@ from clothtrack_lab.published_networks.network_config import NetworkConfig, pres
 StageName = Literal["canonicalisation", "completion"]
 STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
 
-TRAININGS = ("pretrain", "pretrain_reference", "finetune", "finetune_short", "paper")
+TRAININGS = ("pretrain", "finetune", "finetune_short", "paper")
 
 
 def training_preset(name: str, stage: StageName) -> TrainingConfig:
@@ -22,9 +22,6 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
     batch_size = 8 if first else 24
     if name == "pretrain":
         return TrainingConfig(epochs=100 if first else 60, batch_size=batch_size)
-    if name == "pretrain_reference":
-        epochs = 350 if first else 150
-        return TrainingConfig(epochs=epochs, batch_size=batch_size, low_rate=1e-4, high_rate=1e-4)
     if name == "finetune_short":
         epochs = 60 if first else 30
         return TrainingConfig(
@@ -69,14 +66,12 @@ class PublishedConfig:
 
         Args:
             training: "pretrain", "finetune", "finetune_short" or "paper" (`training_preset`).
-            network: sizes to pretrain: "small" or "reference".
+            network: sizes to pretrain, "small".
             seed: seed of weights, order and all random draws of the examples.
 
         Raises:
             InvalidConfigError: there is no such training or network.
         """
-        if (training, network) == ("pretrain", "reference"):
-            training = "pretrain_reference"
         stages = {stage: replace(training_preset(training, stage), seed=seed) for stage in STAGES}
         sizes = preset(network) if training.startswith("pretrain") else None
         return cls(**stages, network=sizes)

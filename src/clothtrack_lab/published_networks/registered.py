@@ -55,7 +55,7 @@ def _finetune(
 
 PUBLISHED = Design(
     name="published",
-    networks=("small", "reference"),
+    networks=("small",),
     extra="published",
     modules=("torch", "safetensors", "igl", "skimage"),
     recognizes=_recognizes,

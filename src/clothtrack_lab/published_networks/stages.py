@@ -24,11 +24,15 @@ from clothtrack_lab.published_networks.canonicalisation import (
     canonical_loss,
     coordinates,
 )
-from clothtrack_lab.published_networks.completion import Completion, ObservedPoints
+from clothtrack_lab.published_networks.completion import (
+    RESIDUAL_M,
+    Completion,
+    ObservedPoints,
+    WarpField,
+    observe_pictures,
+)
 from clothtrack_lab.published_networks.examples import Batch
 from clothtrack_lab.published_networks.network_config import NetworkConfig
-from clothtrack_lab.published_networks.observation import observe_pictures
-from clothtrack_lab.published_networks.warp_field import RESIDUAL_M, WarpField
 
 _CLOSE = 0.05
 """Error below which a canonical coordinate counts as found [unit cube]."""

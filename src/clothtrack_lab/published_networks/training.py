@@ -9,19 +9,13 @@ import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
-from clothtrack.files.provenance import made_with
-from clothtrack.files.run_manifest import as_plain
+from clothtrack.files.provenance import as_plain
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.training.batches import Subset, split_by_group
-from clothtrack.reconstruction.training.checkpoint import (
-    PACKAGES,
-    Weights,
-    load_weights,
-    save_weights,
-)
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
@@ -29,7 +23,6 @@ from clothtrack.reconstruction.training.training_run import TrainingOutcome
 from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
 from clothtrack_lab.published_networks.examples import collate
 from clothtrack_lab.published_networks.model import network_of
-from clothtrack_lab.published_networks.model_card import write_model_card
 from clothtrack_lab.published_networks.network_config import PRESETS, NetworkConfig
 from clothtrack_lab.published_networks.published_config import PublishedConfig
 from clothtrack_lab.published_networks.stages import (
@@ -205,11 +198,6 @@ class _Learning:
                 self.network,
                 kind=kind,
                 provenance={one.provenance["stage"]: one.provenance for one in (best, rest)},
-            )
-            write_model_card(
-                load_weights(path),
-                {name: outcome.cpu_s for name, outcome in self.outcomes.items()},
-                {**made_with((*PACKAGES, "libigl")), "device": self.processes.machine},
             )
         self.processes.wait()
         return LearningOutcome(self.outcomes, path)

@@ -1,10 +1,9 @@
-"""Generation of the benchmark, which can be resumed, and verification of its checksums.
+"""Generation of the benchmark, which can be resumed.
 
 `OUT/bench.json` lists every finished trajectory. It is rewritten after each one, so listed
 trajectories are complete and others were never finished.
 """
 
-import hashlib
 import json
 import logging
 import platform
@@ -20,7 +19,7 @@ import mujoco
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import atomic_file, content_hash, storage
+from clothtrack.files.atomic_write import atomic_file, storage
 from clothtrack.files.many_items import attempts, results_of
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
@@ -49,9 +48,8 @@ def generate_bench(
 ) -> list[Entry]:
     """Record trajectories of the benchmark into `out/recordings` and `out/truth`.
 
-    A trajectory that is listed in `out/bench.json` and still matches its checksums is kept. Any
-    other is recorded again and overwrites earlier remains. An interrupt keeps finished
-    trajectories.
+    A trajectory that is listed in `out/bench.json` is kept. Any other is recorded again and
+    overwrites earlier remains. An interrupt keeps finished trajectories.
     """
     require_workers(processes)
     out, selected = Path(out), list(trajectories() if selected is None else selected)
@@ -87,9 +85,9 @@ class _Filming:
         return [truth, recording]
 
     def kept(self, trajectory: BenchTrajectory) -> Entry | None:
-        """Return the entry of a trajectory that is listed and matches the list."""
-        entry = _read_list(self.out).get(trajectory.name)
-        return None if entry is None or damage(self.out, entry) else entry
+        """Return the entry of a trajectory that is listed and there."""
+        there = all(path.exists() for path in self.paths(trajectory))
+        return _read_list(self.out).get(trajectory.name) if there else None
 
     def do(self, trajectory: BenchTrajectory) -> Entry:
         """Record it, overwriting the remains of an earlier try."""
@@ -108,50 +106,6 @@ def table(entries: Sequence[Entry]) -> str:
             f"{100.0 * shown['depth_missing']:>7.0f} %{entry['cpu_s']:>6.0f} s"
         )
     return "\n".join(lines)
-
-
-def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -> list[str]:
-    """Return one line per trajectory on disk that does not match the benchmark's list."""
-    listed = _read_list(out)
-    if not listed:
-        raise InvalidResultError(
-            f"{out}: no {LIST_FILE} with trajectories in it; give the folder that the benchmark "
-            "was generated or unpacked into"
-        )
-    names = listed if selected is None else [trajectory.name for trajectory in selected]
-    problems = []
-    for name in names:
-        wrong = damage(out, listed[name]) if name in listed else f"not in {LIST_FILE}"
-        if wrong:
-            problems.append(f"{name}: {wrong}")
-    return problems
-
-
-def damage(out: Path, entry: Mapping[str, Any]) -> str:
-    """Return how the files of a listed trajectory differ from its checksums, or ""."""
-    recording, truth = _paths(out, entry["name"])
-    for path, key in ((recording, "recording_sha256"), (truth, "truth_sha256")):
-        if not path.exists():
-            return f"{path} is missing"
-        if checksum(path) != entry[key]:
-            return f"{path} is not what was made; its SHA-256 differs"
-    return ""
-
-
-def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file or a folder as hexadecimal digits.
-
-    For a folder it is the SHA-256 of the list that `sha256sum` prints for its files, sorted by
-    their names relative to the folder (as bytes).
-    """
-    if path.is_file():
-        return content_hash(path)
-    files = sorted(
-        (one.relative_to(path).as_posix() for one in path.rglob("*") if one.is_file()),
-        key=str.encode,
-    )
-    lines = "".join(f"{content_hash(path / name)}  {name}\n" for name in files)
-    return hashlib.sha256(lines.encode()).hexdigest()
 
 
 def _film(trajectory: BenchTrajectory, out: Path) -> Entry:
@@ -174,7 +128,7 @@ def _film(trajectory: BenchTrajectory, out: Path) -> Entry:
 def _entry(
     trajectory: BenchTrajectory, seed: int, config: EpisodeConfig, out: Path, cpu_s: float
 ) -> Entry:
-    recording, truth = _paths(out, trajectory.name)
+    _, truth = _paths(out, trajectory.name)
     return {
         "name": trajectory.name,
         "kind": trajectory.kind,
@@ -183,8 +137,6 @@ def _entry(
         "seed": seed,
         "varied": _plain(config),
         "measured": _measured(truth),
-        "recording_sha256": checksum(recording),
-        "truth_sha256": checksum(truth),
         "made_with": f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, "
         f"{platform.system()} {platform.machine()}",
         "cpu_s": round(cpu_s, 1),

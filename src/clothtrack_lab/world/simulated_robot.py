@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.files.sealed_npz import read_npz, write_npz
+from clothtrack.files.arrays import read_npz, write_npz
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh

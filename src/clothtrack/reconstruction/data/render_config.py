@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from clothtrack.files.run_manifest import as_plain
+from clothtrack.files.provenance import as_plain
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 
 SENSORS = {

@@ -5,15 +5,11 @@
     OUT/README.md              the dataset card
 
 A shard is written under a temporary name and renamed, so a shard under its final name is complete.
-Every array has the SHA-256 of its values and the shard that of all attributes, because Zarr reads a
-missing chunk as zeros.
 """
 
 import hashlib
 import json
-import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -23,19 +19,10 @@ import zarr
 from jaxtyping import Float, Float32, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidResultError
-from clothtrack.files.array_digest import DIGEST
+from clothtrack.files.arrays import DAMAGE, put_array, take_array
 from clothtrack.files.atomic_write import atomic_file, atomic_folder
-from clothtrack.files.sealed_zarr import (
-    CONTENTS,
-    DAMAGE,
-    put_array,
-    seal,
-    sealed_attributes,
-    take_array,
-)
 from clothtrack.geometry.mesh import ClothMesh
-
-logger = logging.getLogger(__name__)
+from clothtrack.recordings.identity import array_digest
 
 FORMAT = "clothtrack-states"
 VERSION = 1
@@ -55,6 +42,10 @@ MEASURES: Mapping[str, str] = {
     "crossings": "1",
 }
 """Measures that may be stored per state, and their units (`StateShard.measures`)."""
+
+
+_CONTENT = ("positions", "rest_positions", "canonical", "faces")
+"""Arrays by whose values a shard is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,14 +153,10 @@ def read_shard(path: Path) -> StateShard:
 
 
 def shard_digest(path: Path) -> str:
-    """Return the SHA-256 of a shard's states and mesh, in hexadecimal digits.
-
-    It is computed from the digests stored with the arrays; the arrays are not read.
-    """
-    arrays = ("positions", "rest_positions", "canonical", "faces")
+    """Return the stored SHA-256 of a shard's states and mesh; the arrays are not read."""
     try:
         group = zarr.open_group(path, mode="r")
-        parts = [str(group[name].attrs[DIGEST]) for name in arrays]
+        parts = [str(group[name].attrs["sha256"]) for name in _CONTENT]
     except DAMAGE as error:
         raise InvalidResultError(
             f"{path}: not a whole shard of states ({error}); remove it and run the command that "
@@ -244,15 +231,18 @@ def shard_path(folder: Path, number: int) -> Path:
 
 
 def _write(group: zarr.Group, shard: StateShard) -> None:
-    put_array(group, "rest_positions", shard.mesh.vertices, unit="m")
-    put_array(group, "canonical", np.asarray(shard.mesh.canonical), unit="m")
-    put_array(group, "faces", shard.mesh.faces)
-    put_array(group, "positions", shard.positions, unit="m")
+    for name, values in (
+        ("positions", shard.positions),
+        ("rest_positions", shard.mesh.vertices),
+        ("canonical", np.asarray(shard.mesh.canonical)),
+        ("faces", shard.mesh.faces),
+    ):
+        put_array(group, name, values, unit="" if name == "faces" else "m")
+        group[name].attrs["sha256"] = array_digest(values)
     put_array(group, "episodes", shard.episodes)
     for name, values in shard.measures.items():
         put_array(group, f"measures/{name}", values, unit=MEASURES.get(name, ""))
-    seal(
-        group,
+    group.attrs.update(
         {
             "format": FORMAT,
             "version": VERSION,
@@ -260,24 +250,17 @@ def _write(group: zarr.Group, shard: StateShard) -> None:
             "recipes": list(shard.recipes),
             "seed": shard.seed,
             "measures": list(shard.measures),
-        },
+        }
     )
 
 
-@contextmanager
-def _to_be_made_again() -> Iterator[None]:
-    """Add the remedy to an error about a damaged shard."""
+def _take(group: zarr.Group, name: str) -> np.ndarray:
     try:
-        yield
+        return take_array(group, name)
     except InvalidResultError as error:
         raise InvalidResultError(
             f"{error}; remove the shard and run the command that made it again"
         ) from error
-
-
-def _take(group: zarr.Group, name: str) -> np.ndarray:
-    with _to_be_made_again():
-        return take_array(group, name)
 
 
 def _check_version(group: zarr.Group) -> None:
@@ -290,11 +273,6 @@ def _check_version(group: zarr.Group) -> None:
 
 
 def _read(group: zarr.Group) -> StateShard:
-    if CONTENTS in group.attrs or DIGEST in group.attrs:
-        with _to_be_made_again():
-            sealed_attributes(group)
-    else:
-        logger.info("%s: its attributes were written without SHA-256", group.store_path)
     positions = _take(group, "positions")
     if positions.dtype != np.float32 or positions.ndim != 3 or positions.shape[2] != 3:
         raise InvalidResultError(

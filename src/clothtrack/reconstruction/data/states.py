@@ -23,8 +23,7 @@ from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.many_items import attempts, results_of
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
-from clothtrack.files.provenance import made_with
-from clothtrack.files.run_manifest import as_plain, require_same
+from clothtrack.files.provenance import as_plain, made_with, require_same
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.garments.garment_meshes import ClothKind
 from clothtrack.geometry.coverage import projected_area

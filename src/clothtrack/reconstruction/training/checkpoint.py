@@ -22,7 +22,6 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidResultError, StorageError
-from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import atomic_file, write_file
 
 logger = logging.getLogger(__name__)
@@ -36,6 +35,8 @@ PACKAGES = ("torch", "numpy", "safetensors", "warp-lang")
 
 START = "start"
 """Key of `data` in a provenance, for the runs that led to a training's start weights."""
+
+DIGEST = "sha256"
 
 _REMEDY = "train again, or fetch an undamaged copy"
 
@@ -137,12 +138,6 @@ def load_weights(path: Path) -> Weights:
     if not isinstance(network, dict) or not isinstance(provenance, dict):
         raise InvalidResultError(f"{path}: its description is not a list of settings; {_REMEDY}")
     return Weights(path, tensors, network, kind, provenance)
-
-
-def is_sealed(path: Path) -> bool:
-    """Return whether an intact weights file has a SHA-256; older files have none."""
-    with safe_open(path, framework="pt") as file:
-        return DIGEST in (file.metadata() or {})
 
 
 def weights_digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:

@@ -27,13 +27,6 @@ class Processes:
         """Whether this process writes the files."""
         return self.rank == 0
 
-    @property
-    def machine(self) -> str:
-        """Description of the hardware."""
-        if self.device.startswith("cuda"):
-            return f"{self.count} x {torch.cuda.get_device_name(self.device)}"
-        return f"a CPU (threads: {self.count * torch.get_num_threads()})"
-
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """Return this process's part of the items."""
         return items[self.rank :: self.count]

@@ -16,7 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
-from clothtrack.files.run_manifest import as_plain, require_same
+from clothtrack.files.provenance import as_plain, require_same
 from clothtrack.reconstruction.training.batches import BatchOrder
 from clothtrack.reconstruction.training.checkpoint import (
     load_progress,
