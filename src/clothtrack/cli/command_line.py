@@ -78,14 +78,7 @@ small, so that threads mostly wait for each other: on a busy machine, several ti
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb.
-
-    Args:
-        arguments: the words after `clothtrack`; those of the process by default.
-
-    Returns:
-        The exit code.
-    """
+    """Run one verb."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     code = exit_code(lambda: _begin(words))
     if code == INTERRUPTED and arguments is None:
@@ -94,12 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _begin(words: Sequence[str]) -> int:
-    """Run the requested verb and return the exit code.
-
-    Raises:
-        WrongUsageError: the request cannot be understood.
-        SystemExit: the help of a verb was requested and printed.
-    """
+    """Run the requested verb and return the exit code."""
     if words[:1] == ["--version"]:
         return _versions(json="--json" in words)
     if words[:1] in (["-h"], ["--help"]):
@@ -175,15 +163,7 @@ def _opened(verb: str, address: str, *, json: bool) -> None:
 
 
 def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
-    """Print the result of a verb and return its exit code.
-
-    Args:
-        verb: name of the verb.
-        result: an object with `text()` and `as_dict()`, and optionally `doubts` and `exit_code`;
-            or the path of the written file; or None.
-        json: whether to print JSON.
-        said: whether the text was already printed, item by item.
-    """
+    """Print the result of a verb and return its exit code."""
     if result is None:
         return 0
     if isinstance(result, Path):

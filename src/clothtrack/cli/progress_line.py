@@ -25,11 +25,7 @@ _TRUSTED_S = 2.0
 
 
 class ProgressLine:
-    """The progress of one verb on one stream.
-
-    Attributes:
-        text: the latest line.
-    """
+    """The progress of one verb on one stream."""
 
     def __init__(
         self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
@@ -37,7 +33,6 @@ class ProgressLine:
         """Begin the work now, with nothing shown.
 
         Args:
-            stream: output stream; the current `sys.stderr` by default.
             clock: returns the time [s].
         """
         self._given, self._clock = stream, clock

@@ -136,11 +136,6 @@ def command(
     """Return a function for tyro that takes the options of a verb and returns how to get them.
 
     It does not call the verb, so that tyro cannot take an error inside the verb for a wrong option.
-
-    Args:
-        function: the function of the verb.
-        name: name of the verb.
-        lenient: make every argument optional, because the verb will not be run.
     """
     parameters = parameters_of(function)
     if lenient:

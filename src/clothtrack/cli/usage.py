@@ -44,16 +44,7 @@ _HELP_INDENT = 8
 def parse(
     words: Sequence[str], verbs: Mapping[str, Callable[[], Function]]
 ) -> tuple[Function, dict[str, Any]]:
-    """Return the function of the requested verb, and its arguments.
-
-    Args:
-        words: the words after `clothtrack`.
-        verbs: the loader of each function, by verb name.
-
-    Raises:
-        WrongUsageError: a verb or option does not exist, is missing or has a wrong value.
-        SystemExit: help was requested and printed.
-    """
+    """Return the function of the requested verb, and its arguments."""
     function = _known(words, verbs)
     drawn = StringIO()
     try:
@@ -81,12 +72,7 @@ def parse(
 def overview(
     verbs: Mapping[str, Callable[[], Function]], groups: Mapping[str, Sequence[str]]
 ) -> str:
-    """Return what `clothtrack --help` shows: every verb in its group, with one sentence.
-
-    Args:
-        verbs: the loader of each function, by verb name.
-        groups: verb names by group title, in order; missing verbs are left out.
-    """
+    """Return what `clothtrack --help` shows: every verb in its group, with one sentence."""
     named = {name for names in groups.values() for name in names}
     whole = {**groups, "others": [name for name in verbs if name not in named]}
     width = max(map(len, verbs))

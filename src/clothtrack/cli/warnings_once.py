@@ -48,11 +48,7 @@ class _WarningsOnce(logging.Handler):
 
 @contextmanager
 def logged(*, verbose: bool) -> Iterator[None]:
-    """Send log records to standard error during the block.
-
-    Args:
-        verbose: send information as well as warnings.
-    """
+    """Send log records to standard error during the block."""
     root, handler = logging.getLogger(), _WarningsOnce()
     level = root.level
     root.setLevel(logging.INFO if verbose else logging.WARNING)

@@ -55,7 +55,6 @@ class ReportConfig:
     Attributes:
         video_frames: largest number of frames in the video, evenly chosen, plus those of labels.
         scene_vertices: largest number of vertices over all frames of the scene.
-        overlay: settings of the video.
     """
 
     video_frames: int = 360
@@ -72,20 +71,7 @@ def write_report(
     truth: Truth | None = None,
     review: LabelReview | None = None,
 ) -> Path:
-    """Write the page of one tracked trajectory and return its path.
-
-    Args:
-        tracked: the tracked trajectory.
-        recording: recording that it was tracked from.
-        path: path of the page.
-        config: settings of the page.
-        truth: the true meshes, required to color the cloth by its error.
-        review: decisions about labels.
-
-    Raises:
-        InvalidResultError: the truth is of another garment or another recording.
-        StorageError: the disk refuses; an earlier file at `path` is then unchanged.
-    """
+    """Write the page of one tracked trajectory and return its path."""
     config = config or ReportConfig()
     overlay = Overlay(tracked, recording, config=config.overlay)
     evidence = evidence_of(tracked, recording)

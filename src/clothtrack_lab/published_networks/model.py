@@ -77,18 +77,6 @@ class MeshReconstructor(nn.Module):
 
         Args:
             depth_m: measured depth [m]; 0 where nothing was measured.
-            cameras: one camera for all pictures, or one each; world z up.
-            kind: category in the pictures.
-            masks: masks of the cloth; all pixels with depth when None.
-            method: "template" fits the category's mesh and always gives one; "implicit" extracts
-                the surface from the winding number and may find none.
-            template: flat garment if it is known; otherwise its size is estimated from the picture.
-            table: table under the cloth; under the lowest visible points when None.
-            fit: configuration of the template fit.
-
-        Raises:
-            InvalidConfigError: these networks are for another category.
-            InvalidRecordingError: a picture shows no cloth, or counts differ.
         """
         if kind != self.frame.kind:
             raise InvalidConfigError(
@@ -111,11 +99,7 @@ class MeshReconstructor(nn.Module):
 
     @torch.inference_mode()
     def observe(self, views: Sequence[CroppedView]) -> list["ObservedCloth"]:
-        """Return canonical coordinates and the completed volume for each picture.
-
-        Args:
-            views: input pictures of the networks.
-        """
+        """Return canonical coordinates and the completed volume for each picture."""
         self.eval()
         found = [cloth_pixels(view.depth, self.config) for view in views]
         points = [

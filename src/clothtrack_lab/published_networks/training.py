@@ -46,23 +46,7 @@ def pretrain(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train both stages on simulated states, from scratch or from given weights.
-
-    Args:
-        states: folders of states of one kind of garment.
-        config: training configuration and sizes of the networks.
-        folder: output folder for a folder per stage and `model.safetensors`.
-        start: initial weights of both stages, of the same garment and sizes.
-        hours: must be None, because both stages are trained for their epochs.
-        processes: processes that train together.
-        progress: function called after every step.
-
-    Raises:
-        InvalidConfigError: the states are too few or of several kinds, or `hours` is given.
-        InvalidResultError: states or progress are damaged or belong to another training, or the
-            initial weights are of another garment or network.
-        StorageError: the disk refuses.
-    """
+    """Train both stages on simulated states, from scratch or from given weights."""
     if hours is not None:
         raise InvalidConfigError("--hours: a published network learns for its epochs; leave it out")
     network = config.network or PRESETS["small"]
@@ -96,21 +80,7 @@ def finetune(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train both stages further on pseudo-labels (paper, Sec. III-C).
-
-    Args:
-        start: initial weights of both stages.
-        labels: labeled recordings of one kind; some are held out for model selection.
-        config: training configuration.
-        folder: output folder for a folder per stage and `model.safetensors`.
-        processes: processes that train together.
-        progress: function called after every step.
-
-    Raises:
-        InvalidConfigError: there are too few labels.
-        InvalidResultError: weights or progress are damaged or do not belong together.
-        StorageError: the disk refuses.
-    """
+    """Train both stages further on pseudo-labels (paper, Sec. III-C)."""
     network = network_of(start)
     seed = config.canonicalisation.seed
     examples = PseudoLabelExamples(labels, network, config.examples, seed=seed)
