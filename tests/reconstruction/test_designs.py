@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from clothtrack.api import learning_extra as learning
+from clothtrack.api import options as learning
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.reconstruction import model_loading
