@@ -15,7 +15,6 @@ from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import (
     WRITTEN_UNIT_M,
     ClothDescription,
-    Frame,
     PickAndPlace,
     PickerPath,
     Recording,
@@ -69,6 +68,7 @@ class GrowingRecording:
 
     Attributes:
         recording: the recording so far; its paths begin with the latest action.
+        frames: its frames, which the caller adds.
         zero_s: start of the recording on the caller's clock [s]; 0 before it begins.
     """
 
@@ -76,13 +76,13 @@ class GrowingRecording:
         self, name: str, camera: Camera, table: Table | None, cloth: ClothDescription
     ) -> None:
         """Create a recording without frames."""
-        self._frames = GrowingFrames()
+        self.frames = GrowingFrames()
         self._actions: list[PickAndPlace] = []
         self._paths: dict[str, PickerPath] = {}
         self.paths: dict[str, GrowingPath] = {}
         self.zero_s, self._begun = 0.0, False
         self.recording = Recording(
-            Path(name), (camera,), {camera.name: WRITTEN_UNIT_M}, self._frames, self._actions,
+            Path(name), (camera,), {camera.name: WRITTEN_UNIT_M}, self.frames, self._actions,
             self._paths, table, cloth,
         )  # fmt: skip
 
@@ -94,7 +94,7 @@ class GrowingRecording:
 
     def next_time(self, time_s: float) -> float:
         """Return the time of the next frame since the start [s]."""
-        at_s, frames = self.since_start(time_s), self._frames
+        at_s, frames = self.since_start(time_s), self.frames
         if not np.isfinite(at_s) or (frames and not at_s > frames[-1].time_s):
             raise InvalidRecordingError(
                 f"a picture of {time_s} s follows one of {frames[-1].time_s + self.zero_s} s; "
@@ -105,12 +105,7 @@ class GrowingRecording:
         return at_s
 
     def move_picker(self, at_s: float, picker: Picker) -> list[str]:
-        """Add samples to the pickers' paths.
-
-        Args:
-            at_s: time since the start [s].
-            picker: position of each tip in the world [m], and whether it is closed.
-        """
+        """Add samples to the pickers' paths, at a time since the start [s]; return notes."""
         notes = []
         for name, (position, closed) in picker.items():
             tip = np.asarray(position, np.float64)
@@ -135,13 +130,9 @@ class GrowingRecording:
             table = Table(camera.position - fit.distance_m * normal, normal)
         self.recording = replace(self.recording, cameras=(camera,), table=table)
 
-    def add_frame(self, frame: Frame) -> None:
-        """Add a frame."""
-        self._frames.add(frame)
-
     def take_back(self, frame: int) -> None:
         """Remove the last frame, and the action that begins with it."""
-        self._frames.take_back()
+        self.frames.take_back()
         if self._actions and self._actions[-1].first_frame == frame:
             del self._actions[-1]
 
@@ -153,7 +144,7 @@ class GrowingRecording:
         """
         ends = {end for one in self._actions[-2:] for end in (one.first_frame, one.last_frame)}
         if index > 0:
-            self._frames.put_away(index, keep=index in ends)
+            self.frames.put_away(index, keep=index in ends)
 
     def begin_action(self, first_frame: int) -> None:
         """Add an action that ends at its first frame and has no pickers until these are known."""
@@ -178,7 +169,7 @@ class GrowingRecording:
     def show_paths(self, first_frame: int) -> None:
         """Update the recording's paths from a frame on."""
         for name, path in self.paths.items():
-            self._paths[name] = path.since(self._frames[first_frame].time_s)
+            self._paths[name] = path.since(self.frames[first_frame].time_s)
 
     def finished(self) -> Recording:
         """Return the finished recording with whole paths."""
@@ -186,6 +177,6 @@ class GrowingRecording:
             name: path.since(-np.inf) for name, path in self.paths.items()
         }
         return replace(
-            self.recording, frames=self._frames, actions=tuple(self._actions),
+            self.recording, frames=self.frames, actions=tuple(self._actions),
             picker_paths=whole,
         )  # fmt: skip

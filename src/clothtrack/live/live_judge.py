@@ -69,12 +69,7 @@ class LiveJudge:
     def look(
         self, time_s: float, positions: Float[np.ndarray, "vertices 3"], seen: Observation
     ) -> None:
-        """Start judging a mesh, unless a judgment is running or recent.
-
-        Args:
-            time_s: time of its picture [s].
-            positions: vertices [m].
-        """
+        """Start judging a mesh [m] of a picture, unless a judgment is running or recent."""
         if self._busy is not None or time_s - self._asked_s < EVERY_S:
             return
         self._asked_s = time_s

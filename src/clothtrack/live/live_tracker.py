@@ -67,11 +67,7 @@ class LiveTracker:
         force: bool = False,
         warm: bool = True,
     ) -> None:
-        """Load and warm up everything that the first picture needs.
-
-        See `clothtrack.LiveTracker` for the arguments. With `warm`, a small cloth is tracked first
-        to load the kernels before the first picture. This takes a second or two, once per process.
-        """
+        """Load what the first picture needs; `warm` tracks a small cloth first, once a process."""
         config = config or RunConfig()
         self._config = replace(config, search=replace(config.search, method="none"))
         self._find_table = isinstance(table, str)
@@ -158,7 +154,7 @@ class LiveTracker:
         self._dropped += 1
         if self._parts is None:
             return
-        self._growing.add_frame(frame)
+        self._growing.frames.add(frame)
         if self._action is not None:
             self._action.stay(frame)
 
@@ -194,7 +190,7 @@ class LiveTracker:
             index, self._growing.next_time(time_s), self.camera, depth=depth,
             color=None if color is None else np.array(color), mask=mask,
         )  # fmt: skip
-        self._growing.add_frame(frame)
+        self._growing.frames.add(frame)
         closed = {name for name, path in self._growing.paths.items() if path.closed}
         begins, ends = self._turn(frame, closed)
         if self._parts is None:
@@ -329,7 +325,13 @@ class LiveTracker:
                 action.note_seen(frame, seen)
             self._spent_s["observe"] = self._eyes.spent_s
         except InvalidRecordingError as error:
-            self._unseen(frame, begins=begins, words=str(error))
+            # Keep the mesh, and postpone beginnings and ends.
+            self._notes.append(str(error))
+            if begins:
+                self._growing.drop_action(-1)
+            if action is not None:
+                action.announce_last(None)
+                action.stay(frame)
             return None
         if action is not None and ends:
             self._end(action, frame)
@@ -377,15 +379,6 @@ class LiveTracker:
                     f"the cloth moves {abs(lag_s):.2f} s {order} the closed picker does: give the "
                     f"picker times that are {size} by so much (`move_picker`)"
                 )
-
-    def _unseen(self, frame: Frame, *, begins: bool, words: str) -> None:
-        """Keep the mesh in a picture without cloth, and postpone beginnings and ends."""
-        self._notes.append(words)
-        if begins:
-            self._growing.drop_action(-1)
-        if self._action is not None:
-            self._action.announce_last(None)
-            self._action.stay(frame)
 
     def _state(
         self, frame: Frame, parts: LiveParts, seen: Observation | None, began_s: float

@@ -82,15 +82,13 @@ class Latencies:
 
     def text(self) -> str:
         """Return median, 95th percentile and dropped pictures in one line."""
-        arrived = self.served + self.dropped
+        arrived, times = self.served + self.dropped, self.as_dict()
         share = 100.0 * self.dropped / max(arrived, 1)
-        words = f"{self.dropped} of {arrived} pictures dropped ({share:.0f} %)"
-        if not self.each_s:
-            return f"{words}, first mesh after {self.first_s:.2f} s"
-        median, most = 1e3 * np.percentile(self.each_s, [50, 95])
+        later = "{median_s:.0f} ms median, {p95_s:.0f} ms for 95 %, "
+        later = later.format(**{name: 1e3 * value for name, value in times.items()})
         return (
-            f"{median:.0f} ms median, {most:.0f} ms for 95 %, {words}, "
-            f"first mesh after {self.first_s:.2f} s"
+            f"{later if self.each_s else ''}{self.dropped} of {arrived} pictures dropped "
+            f"({share:.0f} %), first mesh after {self.first_s:.2f} s"
         )
 
     def as_dict(self) -> dict[str, float | int]:
