@@ -6,7 +6,6 @@ skipped with a reason.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import numpy as np
 
@@ -16,18 +15,6 @@ STEP_S = 0.01
 CONTACT_M = 0.003
 AREA_DENSITY = 0.2
 FRICTION = 0.5
-
-
-class Engine(Protocol):
-    """A cloth on a table z = 0 with one held vertex."""
-
-    def step(self, target: np.ndarray) -> None:
-        """Advance 10 ms while the held vertex moves to a position in the world [m]."""
-        ...
-
-    def positions(self) -> np.ndarray:
-        """Return vertices in the world [m]."""
-        ...
 
 
 class Ours:
@@ -203,6 +190,7 @@ class NewtonStyle3D(_Newton):
         return solver
 
 
+Engine = Ours | MuJoCoFlex | _Newton
 PEERS: Mapping[str, Callable[[ClothMesh, int], Engine]] = {
     "mujoco_flex": MuJoCoFlex,
     "newton_style3d": NewtonStyle3D,
