@@ -16,10 +16,12 @@ import torch
 from harness import run_benchmark, timed
 from scipy.spatial import cKDTree
 
-from clothtrack.alignment import AlignmentConfig, CloudAligner
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
 from clothtrack.alignment.solvers import ADAM_STEP_M
 from clothtrack.alignment.terms_kernels import TWO_WAY_RANGE_M
-from clothtrack.geometry import Camera, ClothMesh, visible_vertices
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import visible_vertices
 
 OBJECTIVES = {
     # Without the stiff length term, icp gets along with half of the inner steps.

@@ -20,9 +20,10 @@ from bench_tracking import TimedEyes
 from harness import run_benchmark, timed
 from staged_fold import FILMED, shirt, staged
 
-from clothtrack.recordings import Recording
-from clothtrack.tracking import Components, RunConfig, SearchConfig
-from clothtrack.tracking.configuration import PAPER_AXES
+from clothtrack.recordings.recording import Recording
+from clothtrack.tracking.configuration import PAPER_AXES, RunConfig
+from clothtrack.tracking.methods import Components
+from clothtrack.tracking.search import SearchConfig
 
 METHODS = ("grid", "descent")
 SMALL_AXES: Mapping[str, tuple[float, ...]] = {

@@ -5,8 +5,7 @@ imported. The peer only decodes and encodes the same pictures with OpenCV, at it
 and at ours. CPU times are summed over all threads, so that other work on the machine has little
 effect. The ratio is how many times faster the import is than the peer. Frames per second are for
 two otherwise idle processors. Reading and writing, which only the first thread does, have their own
-column; two processors stay busy as long as it is below one half. Memory is the peak above that at
-the start, for a quarter of the frames and for all.
+column; two processors stay busy as long as it is below one half.
 
     python benchmarks/bench_import.py --json import.json [--quick]
 """
@@ -14,7 +13,6 @@ the start, for a quarter of the frames and for all.
 import json
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -28,7 +26,7 @@ from harness import run_benchmark, timed
 from rosbags import rosbag2
 from rosbags.typesys import Stores, get_typestore
 
-from clothtrack.recordings import encode_png
+from clothtrack.recordings.pictures import encode_png
 from clothtrack_capture.importing.import_recording import import_recording
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0
@@ -150,28 +148,6 @@ def coder(depth_form: str, color_form: str, *, usual: bool) -> Callable[[], None
     return run
 
 
-def resident_bytes() -> int:
-    """Return memory of this process."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def peak_bytes(work: Callable[[], object]) -> int:
-    """Return the peak memory above that at the start, sampled."""
-    start, peak, done = resident_bytes(), [0], threading.Event()
-
-    def watch() -> None:
-        while not done.wait(0.02):
-            peak[0] = max(peak[0], resident_bytes() - start)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    work()
-    done.set()
-    watcher.join()
-    return peak[0]
-
-
 @dataclass(frozen=True)
 class Kind:
     """A kind of source: how it is written, and what in it is packed."""
@@ -192,14 +168,12 @@ KINDS = {
 def compared(name: str, frames: int, folder: Path) -> dict[str, object]:
     """Return one row: the import against the peer."""
     kind, out = KINDS[name], folder / "out"
-    peaks, times = [], (0.0, 0.0)
-    for count in (frames // 4, frames):
-        source = kind.write(folder / "source", count)
-        start, own = time.process_time(), time.thread_time()
-        peaks.append(peak_bytes(lambda: import_recording(folder / "source", out)))
-        times = time.process_time() - start, time.thread_time() - own
-        shutil.rmtree(out)
-        shutil.rmtree(source) if source.is_dir() else source.unlink()
+    source = kind.write(folder / "source", frames)
+    start, own = time.process_time(), time.thread_time()
+    import_recording(source, out)
+    times = time.process_time() - start, time.thread_time() - own
+    shutil.rmtree(out)
+    shutil.rmtree(source) if source.is_dir() else source.unlink()
     ours, _ = timed(coder(kind.depth_form, kind.color_form, usual=False))
     usual, _ = timed(coder(kind.depth_form, kind.color_form, usual=True))
     each = times[0] / frames
@@ -211,8 +185,6 @@ def compared(name: str, frames: int, folder: Path) -> dict[str, object]:
         "first_thread_share": times[1] / times[0],
         "ratio_to_coding": ours / PEER_FRAMES / each,
         "ratio_to_usual_coding": usual / PEER_FRAMES / each,
-        "peak_mb_quarter": peaks[0] / 2**20,
-        "peak_mb": peaks[1] / 2**20,
     }
 
 

@@ -18,8 +18,11 @@ import numpy as np
 from harness import run_benchmark
 from staged_fold import SIZE_M, STEPS, shirt, staged
 
-from clothtrack.recordings import Recording, observe
-from clothtrack.tracking import RunConfig, SearchConfig, Tracker
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Recording
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.search import SearchConfig
+from clothtrack.tracking.tracker import Tracker
 
 AXES = {"table_friction": (0.3, 1.0, 3.0)}
 """Candidates where there are some: three, each tracked to the end of the action."""

@@ -23,8 +23,8 @@ from harness import run_benchmark
 from scipy.spatial import KDTree
 
 from clothtrack.files.extras import install_command
-from clothtrack.garments import garment, tshirt
-from clothtrack.geometry import ClothMesh
+from clothtrack.garments.garment_meshes import garment, tshirt
+from clothtrack.geometry.mesh import ClothMesh
 
 LAYER_GAP_M = 0.003
 LIFT_PER_STEP_M = 0.004

@@ -19,17 +19,15 @@ import numpy as np
 from harness import run_benchmark
 from staged_fold import FILMED_VERTICES, FRAME_RATE, STEPS, shirt, staged
 
-from clothtrack.geometry import ClothMesh, one_way
-from clothtrack.recordings import Frame, Observation, Recording, observe
-from clothtrack.tracking import (
-    Assembled,
-    Components,
-    RunConfig,
-    SearchConfig,
-    TrackedTrajectory,
-    Tracker,
-)
-from clothtrack.tracking.methods import default
+from clothtrack.geometry.chamfer import one_way
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.methods import Assembled, Components, default
+from clothtrack.tracking.search import SearchConfig
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracker import Tracker
 
 RECORDED_S = STEPS / FRAME_RATE
 SOLVERS = ("adam", "icp")

@@ -6,11 +6,10 @@ skipped with a reason.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import numpy as np
 
-from clothtrack.geometry import ClothMesh
+from clothtrack.geometry.mesh import ClothMesh
 
 STEP_S = 0.01
 CONTACT_M = 0.003
@@ -18,24 +17,14 @@ AREA_DENSITY = 0.2
 FRICTION = 0.5
 
 
-class Engine(Protocol):
-    """A cloth on a table z = 0 with one held vertex."""
-
-    def step(self, target: np.ndarray) -> None:
-        """Advance 10 ms while the held vertex moves to a position in the world [m]."""
-        ...
-
-    def positions(self) -> np.ndarray:
-        """Return vertices in the world [m]."""
-        ...
-
-
 class Ours:
     """The XPBD solver of this package."""
 
     def __init__(self, mesh: ClothMesh, held: int) -> None:
-        from clothtrack.recordings import Table
-        from clothtrack.simulation import Attachment, ClothParameters, ClothSolver, SolverConfig
+        from clothtrack.recordings.recording import Table
+        from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+        from clothtrack.simulation.solver import ClothSolver
+        from clothtrack.simulation.state import Attachment
 
         table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
         config = SolverConfig(thickness_m=CONTACT_M, area_density=AREA_DENSITY, table=table)
@@ -203,6 +192,7 @@ class NewtonStyle3D(_Newton):
         return solver
 
 
+Engine = Ours | MuJoCoFlex | _Newton
 PEERS: Mapping[str, Callable[[ClothMesh, int], Engine]] = {
     "mujoco_flex": MuJoCoFlex,
     "newton_style3d": NewtonStyle3D,

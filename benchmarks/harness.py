@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.geometry import quiet_warp
+from clothtrack.geometry.devices import quiet_warp
 
 PACKAGES = (
     "numpy", "scipy", "warp-lang", "opencv-python-headless", "mujoco-core", "newton", "torch"

@@ -11,27 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.garments import garment
-from clothtrack.geometry import ClothMesh
+from clothtrack.garments.garment_meshes import garment
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings import (
-    ClothDescription,
-    PickerPath,
-    Recording,
-    RecordingWriter,
-    Table,
-    read_recording,
-)
-from clothtrack.simulation import (
-    ClothDynamics,
-    ClothParameters,
-    ClothSolver,
-    HeldMotion,
-    SolverConfig,
-)
-from clothtrack_lab.world import Scene, Sensor
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Recording, Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.picker_action import HeldMotion
+from clothtrack.simulation.solver import ClothSolver
 from clothtrack_lab.world.appearance import Appearance
-from clothtrack_lab.world.sensor import top_down_camera
+from clothtrack_lab.world.scene import Scene
+from clothtrack_lab.world.sensor import Sensor, top_down_camera
 from clothtrack_lab.world.tool import Tool
 
 SIZE_M = (0.30, 0.27)

@@ -18,25 +18,16 @@ import numpy as np
 from franka_robot import FrankaConfig, FrankaRobot, FrankyArm
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.planning import (
-    ActionSpace,
-    EpisodeScene,
-    FlattenConfig,
-    Flattening,
-    PerceptionConfig,
-    PlannerConfig,
-    Workspace,
-    dynamics_of,
-    flat_area,
-    perception_of,
-)
-from clothtrack.planning.robots import (
-    DryRunRobot,
-    MotionLimits,
-    RgbdFrame,
-)
-from clothtrack.recordings import ClothDescription, Table, read_recording
-from clothtrack.report import write_flattening_report
+from clothtrack.planning.action_space import ActionSpace, Workspace
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
+from clothtrack.planning.perception import PerceptionConfig, perception_of
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.robots.dry_run import DryRunRobot
+from clothtrack.planning.robots.robot import MotionLimits, RgbdFrame
+from clothtrack.recordings.recording import ClothDescription, Table
+from clothtrack.recordings.store import read_recording
+from clothtrack.report.flattening_page import write_flattening_report
 from clothtrack_capture import open_realsense
 
 SETTLING_FRAMES = 5

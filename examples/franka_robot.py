@@ -13,15 +13,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.planning import PickPlace
-from clothtrack.planning.robots import (
+from clothtrack.planning.action_space import PickPlace
+from clothtrack.planning.robots.robot import (
     Execution,
     MotionLimits,
     Reachability,
     RgbdFrame,
     waypoints,
 )
-from clothtrack.recordings import PickerPath
+from clothtrack.recordings.recording import PickerPath
 
 logger = logging.getLogger(__name__)
 

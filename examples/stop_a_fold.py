@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import clothtrack as ct
-from clothtrack.planning import PickPlace
-from clothtrack_lab.world import SimulatedRobot
+from clothtrack.planning.action_space import PickPlace
+from clothtrack_lab.world.simulated_robot import SimulatedRobot
 
 MOST_ERROR_M = 0.012
 """The robot stops when the mean expected error of a vertex is larger than this [m]."""

@@ -13,16 +13,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import pytest
 
-from clothtrack.geometry import Camera, ClothMesh, quiet_warp
-from clothtrack.recordings import (
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import (
     ClothDescription,
     ObservedRegion,
     PickerPath,
     Recording,
-    RecordingWriter,
     Table,
-    read_recording,
 )
+from clothtrack.recordings.store import RecordingWriter, read_recording
 
 quiet_warp()
 

@@ -39,8 +39,8 @@ from tables.bare_hand import holds
 
 import clothtrack as ct
 from clothtrack.cli import command_line as cli
-from clothtrack.evaluation import LabelReview
-from clothtrack.geometry import quiet_warp
+from clothtrack.evaluation.label_review import LabelReview
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.report.live import Decisions, live_page
 from clothtrack_capture import find_picker
 

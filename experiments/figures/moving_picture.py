@@ -19,13 +19,14 @@ from shared.figures import say
 import clothtrack as ct
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.live.playback import pickers_at
-from clothtrack.recordings import Recording, read_recording, shipped_recording
 from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.report import Overlay, OverlayConfig
-from clothtrack.report.overlay import scene_view
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.report.overlay import Overlay, OverlayConfig, scene_view
 from clothtrack.report.palette import PAPER, caption, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 HEIGHT, SIDE_WIDTH = 240, 320
 QUALITY = 55

@@ -19,8 +19,8 @@ from shared.figures import say, write_png
 from shared.reconstruction_pictures import HEIGHT, WIDTH, Picture, blank, line, mesh_picture
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.geometry import quiet_warp
-from clothtrack.recordings import read_mesh
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.recordings.mesh_file import read_mesh
 from clothtrack.report.viewpoint import three_quarter_view
 
 OF_EACH = 10

@@ -20,18 +20,12 @@ from jaxtyping import Bool, Float, UInt8
 from shared.figures import say
 
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings import (
-    Frame,
-    Recording,
-    RecordingWriter,
-    read_color,
-    read_depth,
-    read_recording,
-)
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import default_segmenter
-from clothtrack.simulation import ActionConfig
-from clothtrack_lab.world import EpisodeConfig, simulate_trajectory
-from clothtrack_lab.world.episodes import TemplateConfig
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.simulation.pick_and_place import ActionConfig
+from clothtrack_lab.world.episodes import EpisodeConfig, TemplateConfig, simulate_trajectory
 
 NAME = "fold_the_tshirt"
 SEED = 4

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.garments import garment
-from clothtrack.geometry import Camera, ClothMesh
+from clothtrack.garments.garment_meshes import garment
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
 from real.picture_scores import drawn_depth
 from real.robot_clouds import NAME
 from real.topdown import (

@@ -16,8 +16,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.geometry import ClothMesh, edge_strain, sample_surface, two_way
-from clothtrack.recordings import ClothDescription, PickerPath, RecordingWriter
+from clothtrack.geometry.chamfer import sample_surface, two_way
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import edge_strain
+from clothtrack.recordings.recording import ClothDescription, PickerPath
+from clothtrack.recordings.store import RecordingWriter
 from real.pattern import PatternConfig, PatternDrift, Unwrapper, pattern_drift
 from real.upright import level_camera, upright
 

@@ -13,17 +13,22 @@ import numpy as np
 from jaxtyping import Bool, Float
 from shared.bench_measures import Row
 
-from clothtrack.evaluation import chamfer_surface, material_map, material_points
-from clothtrack.geometry import Camera, ClothMesh, Rasterizer, crossings, edge_strain
-from clothtrack.reconstruction import DepthInput
+from clothtrack.evaluation.metrics import chamfer_surface
+from clothtrack.evaluation.truth import material_map, material_points
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossings, edge_strain
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabeledRecording,
     cloth_picture,
     projected_faces,
 )
-from clothtrack.recordings import Recording, read_recording
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from real import hanging_cloth
 from real.learned_cloth import KIND, Ask, corners
 from real.upright import WORLD_FROM_CAMERA, upright

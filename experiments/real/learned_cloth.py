@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from shared.bench_measures import Row
 
-from clothtrack.geometry import ClothMesh
-from clothtrack.reconstruction import DepthInput
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 KIND = "towel"
 

@@ -31,7 +31,7 @@ from shared.table_column import table
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import quiet_warp
+from clothtrack.geometry.devices import quiet_warp
 from real import table2_real
 from real.robot_learning import Napkin, napkins, refuse_shared
 from real.table2_real import CONTROL, JOINED, NETWORKS, NONE, TRACKER, Plan

@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from clothtrack.geometry import Camera
+from clothtrack.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from clothtrack.geometry import Camera, ClothMesh, Rasterizer, closest_on_mesh
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasterizer
 from real.topdown import STICKER_INSET
 
 Points = Float[np.ndarray, "points 2"]

@@ -39,15 +39,17 @@ from shared.verdict_words import of_each_word, told, trusted_without
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
 from clothtrack.evaluation.verdict import picture_verdict
-from clothtrack.files import content_hash
+from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import ClothMesh, quiet_warp, two_way
-from clothtrack.reconstruction import load_model
+from clothtrack.geometry.chamfer import two_way
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.agreement import agreement_of
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.from_picture import distance_from_picture
-from clothtrack.recordings import write_mesh
+from clothtrack.reconstruction.model_loading import load_model
+from clothtrack.recordings.mesh_file import write_mesh
 from real.drawn_sets import write_topdown
 from real.picture_scores import (
     Points,

@@ -17,15 +17,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.garments import towel
-from clothtrack.geometry import Camera, ClothMesh, VisibilityCheck, edge_strain, one_way
-from clothtrack.recordings import (
-    ClothDescription,
-    ObservedRegion,
-    PickerPath,
-    RecordingWriter,
-    Table,
-)
+from clothtrack.garments.garment_meshes import towel
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.chamfer import one_way
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import edge_strain
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.recording import ClothDescription, ObservedRegion, PickerPath, Table
+from clothtrack.recordings.store import RecordingWriter
 
 NAME = "robot-lift-fold-clouds"
 PICKER = "gripper"

@@ -15,9 +15,11 @@ from jaxtyping import Float, Int
 from shared.bench_measures import Row
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation import chamfer_surface
-from clothtrack.geometry import ClothMesh, Rasterizer, crossings, distance_to_mesh
-from clothtrack.reconstruction import DepthInput
+from clothtrack.evaluation.metrics import chamfer_surface
+from clothtrack.geometry.closest_point import distance_to_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossings
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.data.cloud_picture import LEAST_POINTS, cloud_picture
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
@@ -26,9 +28,11 @@ from clothtrack.reconstruction.data.pseudo_labels import (
     label_recording,
     projected_faces,
 )
-from clothtrack.reconstruction.depth_input import from_cloud
-from clothtrack.recordings import Recording, observe, read_recording
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.reconstruction.depth_input import DepthInput, from_cloud
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from real import robot_clouds
 from real.learned_cloth import KIND, Ask, corners
 from real.robot_clouds import TOOL_CLEARANCE_M, RobotSequence

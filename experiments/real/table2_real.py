@@ -41,18 +41,18 @@ from shared.learning_runs import Tuner, content_digest, tiny_network
 from shared.run_tracker import track
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files import finished_in_workers
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import quiet_warp
-from clothtrack.reconstruction import load_model
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabeledRecording,
     read_labels,
     write_labels,
 )
+from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.training.checkpoint import load_weights
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack_lab.published_networks.registered import SHIPPED as PUBLISHED
 from real import hanging_cloth
 from real.drawn_sets import TABLE_M, write_robot_clouds

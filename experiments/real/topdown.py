@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.geometry import Camera
-from clothtrack.reconstruction import DepthInput
-from clothtrack.reconstruction.depth_input import from_picture
-from clothtrack.recordings import Table, read_color, read_mask
+from clothtrack.geometry.camera import Camera
+from clothtrack.reconstruction.depth_input import DepthInput, from_picture
+from clothtrack.recordings.pictures import read_color, read_mask
 from clothtrack.recordings.point_cloud import cloth_measured
+from clothtrack.recordings.recording import Table
 
 GARMENTS, STICKERS = "garments", "stickers"
 

@@ -18,10 +18,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.geometry import Camera, ClothMesh, closest_on_mesh
-from clothtrack.recordings import ClothDescription, ColorSegmenter, PickerPath, RecordingWriter
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.colors import learned_set
-from clothtrack.recordings.segmentation import main_components
+from clothtrack.recordings.recording import ClothDescription, PickerPath
+from clothtrack.recordings.segmentation import ColorSegmenter, main_components
+from clothtrack.recordings.store import RecordingWriter
 from real.hanging_cloth import read_picture
 from real.upright import level_camera
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.geometry import Camera
+from clothtrack.geometry.camera import Camera
 
 WORLD_FROM_CAMERA: Float[np.ndarray, "4 4"] = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

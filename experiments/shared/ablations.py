@@ -11,26 +11,19 @@ from functools import partial
 
 import numpy as np
 
-from clothtrack.recordings import Observation, PickAndPlace
-from clothtrack.tracking import (
-    METHODS,
-    Assembled,
-    Components,
-    Correction,
-    Prediction,
-    RunConfig,
-    State,
-    Theta,
-    mode,
-)
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import PickAndPlace
 from clothtrack.tracking.calibration import OpenLoopCalibration, Uncalibrated
+from clothtrack.tracking.configuration import RunConfig, mode
 from clothtrack.tracking.ensemble import best_candidate
 from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.line_search import PseudoActionSearch
-from clothtrack.tracking.methods import SOFT, default, paper
+from clothtrack.tracking.methods import METHODS, SOFT, Assembled, Components, default, paper
 from clothtrack.tracking.picking import HeldCloth, StillCloth
+from clothtrack.tracking.protocols import Correction, Prediction, State
 from clothtrack.tracking.rest import never_at_rest
 from clothtrack.tracking.search import Axes, Proposal
+from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.visible_alignment import no_alignment, only_at
 
 Assemble = Callable[[Components], Assembled]

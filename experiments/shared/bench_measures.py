@@ -7,12 +7,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from clothtrack.evaluation import Truth, evaluate, material_points
 from clothtrack.evaluation.metrics import CLOSE_PAIR_M
 from clothtrack.evaluation.naming import true_places
-from clothtrack.geometry import ClothMesh, close_pairs, crossings, edge_strain, visible_vertices
-from clothtrack.recordings import Recording
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.evaluation.results import evaluate
+from clothtrack.evaluation.truth import Truth, material_points
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
+from clothtrack.geometry.visibility import visible_vertices
+from clothtrack.recordings.recording import Recording
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 Row = dict[str, object]
 """One mesh: the end of one action, before or after TTO2. Units stand in the names."""

@@ -20,13 +20,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation import Truth
 from clothtrack.evaluation.label_evidence import Label
-from clothtrack.files import finished_in_workers
-from clothtrack.geometry import ClothMesh
-from clothtrack.recordings import Recording, read_recording
-from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
+from clothtrack.evaluation.truth import Truth
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.pipeline import counted_settings, observer, provenance
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracker import Tracker
 from shared.ablations import ALL
 from shared.bench_measures import ROW_FORMAT, Row, finite, measure
 from shared.coherent_point_drift import PeerConfig, follow

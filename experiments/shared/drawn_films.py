@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from scipy.optimize import brentq
 
-from clothtrack.garments import garment, towel
-from clothtrack.geometry import Camera, Rasterizer
+from clothtrack.garments.garment_meshes import garment, towel
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasterizer
 from shared.recording_data import RecordingData
 
 RATE_HZ, NOISE_M, SETTLING_S = 10.0, 0.0013, 0.15

@@ -20,9 +20,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.geometry import quiet_warp
-from clothtrack.tracking import MODES, RunConfig
-from clothtrack_lab.world import SMALL_WORLD, EpisodeConfig, simulate
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.tracking.configuration import MODES, RunConfig
+from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig
+from clothtrack_lab.world.filming import simulate
 from shared import tables
 from shared.ablations import settings_of
 from shared.bench_measures import Row

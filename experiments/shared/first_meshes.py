@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation import Truth, material_map, material_points
-from clothtrack.garments import garment
-from clothtrack.geometry import ClothMesh
-from clothtrack.recordings import Recording
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.garments.garment_meshes import garment
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Recording
 
 
 def resampled(recording: Recording, vertex_count: int) -> Recording:

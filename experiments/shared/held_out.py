@@ -6,8 +6,8 @@ from pathlib import Path
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
-from clothtrack.recordings import read_recording
 from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
 from shared.bench_runs import BENCH_FILE, Trajectory, trajectories
 
 HELD_OUT = 10

@@ -5,21 +5,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.evaluation import (
-    Truth,
+from clothtrack.evaluation.metrics import (
     chamfer_pc,
     chamfer_surface,
     cloth_measures,
-    material_map,
-    material_points,
     vertex_error_mm,
 )
-from clothtrack.geometry import ClothMesh, Rasterizer, closest_on_mesh, visible_vertices
-from clothtrack.reconstruction import NetworkMesh
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasterizer, visible_vertices
 from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack.reconstruction.from_picture import NetworkMesh
 from clothtrack.reconstruction.seen_points import SeenPoints
-from clothtrack.recordings import Recording, observe
-from clothtrack.simulation import SolverConfig
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Recording
+from clothtrack.simulation.parameters import SolverConfig
 from clothtrack_lab.published_networks.canonical_frame import conventional
 from shared.bench_measures import Row
 

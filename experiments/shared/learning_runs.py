@@ -20,25 +20,22 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation import Truth
-from clothtrack.files import with_settings
-from clothtrack.geometry import ClothMesh
-from clothtrack.reconstruction import (
-    DepthInput,
-    NetworkMesh,
-    design_of,
-    load_model,
-)
+from clothtrack.evaluation.truth import Truth
+from clothtrack.files.settings import with_settings
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.pseudo_labels import LabeledRecording, cloth_picture
+from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.design import Reconstructor as NetworkOfPictures
-from clothtrack.reconstruction.model_loading import designs
+from clothtrack.reconstruction.from_picture import NetworkMesh
+from clothtrack.reconstruction.model_loading import design_of, designs, load_model
 from clothtrack.reconstruction.token_meshes import TokenMeshes
 from clothtrack.reconstruction.tokens.token_learning import MODEL
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.recordings import Recording, read_recording
-from clothtrack.tracking import RunConfig
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import provenance
 from clothtrack_lab.published_networks.model import MeshReconstructor
 from clothtrack_lab.published_networks.network_config import TINY_NETWORK

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.geometry import Camera, ClothMesh
-from clothtrack.recordings import Table
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Table
 from clothtrack.report.palette import PAPER, caption, rgb255, write
 from clothtrack.report.shading import Shader, ShadingConfig
 

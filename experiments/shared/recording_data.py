@@ -13,7 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from clothtrack.recordings import read_color, read_recording
+from clothtrack.recordings.pictures import read_color
+from clothtrack.recordings.store import read_recording
 
 CLOSED = 4
 """Column of a picker's samples that says whether it is closed; before it: time, x, y, z."""

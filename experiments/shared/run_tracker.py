@@ -6,17 +6,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.recordings import read_recording
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-from clothtrack.tracking import (
-    MODES,
-    InitialStateConfig,
-    SearchConfig,
-    TrackedTrajectory,
-    result_path,
-    track_recording,
-)
-from clothtrack.tracking.pipeline import config_hash
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.configuration import MODES, InitialStateConfig
+from clothtrack.tracking.pipeline import config_hash, result_path, track_recording
+from clothtrack.tracking.search import SearchConfig
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from shared.ablations import PAPER, settings_of
 
 MODE_NAMES = (*MODES, *PAPER)

@@ -27,12 +27,12 @@ from shared.figures import say
 from shared.table_column import table
 
 import clothtrack as ct
-from clothtrack.geometry import quiet_warp
-from clothtrack.simulation import ActionConfig
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack_capture.carried_path import CarriedPath
 from clothtrack_capture.clicked_picking import ClickedAction, ClickedPicking
 from clothtrack_capture.cloth_views import Click
-from clothtrack_lab.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
+from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
 from clothtrack_lab.world.template_mesh import TemplateConfig
 from clothtrack_lab.world.tool import Tool
 

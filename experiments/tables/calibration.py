@@ -23,7 +23,7 @@ from shared.bench_runs import BENCH_FILE, Trajectory, Variant
 from shared.experiment import Run, Setup, run_experiment
 from shared.held_out import parted, require_apart
 
-from clothtrack.tracking import RunConfig, mode
+from clothtrack.tracking.configuration import RunConfig, mode
 from clothtrack_lab.world.flex import CONTACT_RADIUS_M
 
 FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}

@@ -16,7 +16,7 @@ from dataclasses import replace
 import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import RunConfig, mode
+from clothtrack.tracking.configuration import RunConfig, mode
 
 
 def plan(setup: Setup) -> list[Run]:

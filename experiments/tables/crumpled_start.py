@@ -36,14 +36,15 @@ from shared.figures import say, write_json
 from shared.table_column import paired, table
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation import Truth, material_map, material_points
-from clothtrack.files import content_hash
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import shipped_weights
-from clothtrack.recordings import Recording, read_recording
-from clothtrack.tracking import RunConfig
-from clothtrack.tracking.configuration import InitialStateConfig
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
 from tables.network_on_states import look_alikes
 
 FLAT = Variant("from flat")

@@ -19,7 +19,8 @@ import _path  # noqa: F401
 from shared.bench_runs import Variant
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import SearchConfig, mode
+from clothtrack.tracking.configuration import mode
+from clothtrack.tracking.search import SearchConfig
 from tables.collision import weighted
 
 

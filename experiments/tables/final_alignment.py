@@ -16,7 +16,7 @@ import _path  # noqa: F401
 from shared.ablations import RANKS
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import mode
+from clothtrack.tracking.configuration import mode
 
 
 def plan(setup: Setup) -> list[Run]:

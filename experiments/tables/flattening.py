@@ -33,31 +33,30 @@ from shared.figures import say
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files import finished_in_workers, with_settings
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import crossings, quiet_warp
-from clothtrack.planning import (
-    EpisodeStore,
-    FlattenConfig,
-    PerceptionConfig,
-    PlannerConfig,
-    SimulatorConfig,
-    improvement,
-)
+from clothtrack.files.settings import with_settings
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.quality import crossings
 from clothtrack.planning.action_space import in_picture
-from clothtrack.planning.flatten_config import episode_identity
-from clothtrack.planning.planning_dynamics import MotionConfig
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
+from clothtrack.planning.flattening import improvement
+from clothtrack.planning.perception import PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.reconstruction.availability import missing_modules
-from clothtrack.recordings import read_recording
+from clothtrack.recordings.store import read_recording
 from clothtrack_lab.flattening import POLICIES
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
-from clothtrack_lab.world import (
-    SMALL_WORLD,
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.simulated_episodes import (
+    EpisodeParts,
     SimulatedEpisode,
-    SimulatedRobotConfig,
     flatten_simulated,
+    knowing_the_garment,
 )
-from clothtrack_lab.world.simulated_episodes import EpisodeParts, knowing_the_garment
+from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 NAME = "flattening"
 FIRST_SEED = 9000
@@ -279,8 +278,8 @@ def make_starts(tasks: Sequence[Task], workers: int) -> None:
 
 def make_start(task: Task) -> None:
     """One crumpled start."""
-    from clothtrack_lab.world import SimulatedRobot
     from clothtrack_lab.world.simulated_episodes import begin
+    from clothtrack_lab.world.simulated_robot import SimulatedRobot
 
     episode = task.episode
     robot = SimulatedRobot(episode.kind, episode.seed, task.robot, episode.garment)

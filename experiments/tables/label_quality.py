@@ -28,11 +28,10 @@ from shared.held_out import require_apart
 from shared.tables import table
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
-from clothtrack.evaluation import LabelEvidence, QualityModel
-from clothtrack.evaluation.label_evidence import EVIDENCE_NAMES, label_evidence
-from clothtrack.evaluation.label_quality import SHIPPED, SHRINKAGE, fit_quality
-from clothtrack.geometry import quiet_warp
-from clothtrack.recordings import read_recording
+from clothtrack.evaluation.label_evidence import EVIDENCE_NAMES, LabelEvidence, label_evidence
+from clothtrack.evaluation.label_quality import SHIPPED, SHRINKAGE, QualityModel, fit_quality
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.recordings.store import read_recording
 
 FITTED_ON = "dev"
 TARGET = 0.8

@@ -30,13 +30,17 @@ from shared.tables import SYMMETRIC
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation import Truth, chamfer_pc
-from clothtrack.files import content_hash, finished_in_workers
+from clothtrack.evaluation.metrics import chamfer_pc
+from clothtrack.evaluation.truth import Truth
+from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import quiet_warp, visible_vertices
-from clothtrack.planning import EpisodeStore, Estimate, PerceptionConfig
-from clothtrack.planning.perception import NetworkPerception
-from clothtrack.recordings import observe, read_recording
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.visibility import visible_vertices
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.perception import Estimate, NetworkPerception, PerceptionConfig
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.store import read_recording
 
 NAME = "network_on_heaps"
 COVERAGES = (0.0, 0.55, 0.7, 0.85, np.inf)

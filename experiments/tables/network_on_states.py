@@ -41,27 +41,21 @@ from shared.verdict_words import of_each_word, told, trusted_without
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.evaluation.verdict import picture_verdict
-from clothtrack.files import atomic_file, content_hash
+from clothtrack.files.atomic_write import atomic_file, content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import (
-    ClothMesh,
-    Rasterizer,
-    closest_on_mesh,
-    crossings,
-    quiet_warp,
-)
-from clothtrack.reconstruction import (
-    DepthInput,
-    load_model,
-    open_states,
-    read_shard,
-)
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossings
+from clothtrack.geometry.visibility import Rasterizer
 from clothtrack.reconstruction.agreement import agreement_of
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.state_store import StateShard
+from clothtrack.reconstruction.data.state_store import StateShard, open_states, read_shard
+from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.from_picture import figures_of
-from clothtrack.recordings import Table
+from clothtrack.reconstruction.model_loading import load_model
+from clothtrack.recordings.recording import Table
 from clothtrack.report.viewpoint import three_quarter_view
 from clothtrack_lab.published_networks.rendered_state import render
 

@@ -18,13 +18,14 @@ from typing import Any
 import _path  # noqa: F401
 import numpy as np
 
-from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings import read_recording
-from clothtrack.simulation import ActionConfig
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack_capture.picker_detection import find_picker, nearest_visible_vertex
 from clothtrack_capture.tip_finder import tip_colors
-from clothtrack_lab.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
+from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
 
 FILMS = (
     ("towel", 100, "pink"),

@@ -32,10 +32,11 @@ from shared.figures import say
 from shared.learning_measures import where_in
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.evaluation import material_points
+from clothtrack.evaluation.truth import material_points
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.geometry import ClothMesh, projected_area, quiet_warp
-from clothtrack.planning import FlattenConfig, PerceptionConfig, dynamics_of, perception_of
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import (
     ActionSpace,
     off_cloth,
@@ -43,13 +44,16 @@ from clothtrack.planning.action_space import (
     sample_actions,
 )
 from clothtrack.planning.episode_store import write_step
-from clothtrack.planning.perception import Estimate, Perception
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.perception import Estimate, Perception, PerceptionConfig, perception_of
 from clothtrack.planning.planner import Hypothesis, Planner, ranked
 from clothtrack.planning.seen import seen_cloth
 from clothtrack.reconstruction.first_mesh import symmetries
-from clothtrack.recordings import Recording, observe
-from clothtrack_lab.world import SMALL_WORLD, SimulatedRobot, SimulatedRobotConfig
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Recording
+from clothtrack_lab.world.episodes import SMALL_WORLD
 from clothtrack_lab.world.flex import Fabric
+from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 
 FIRST_SEED = 9100
 """Of the starts; episodes begin at others."""

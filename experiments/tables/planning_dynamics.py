@@ -30,21 +30,19 @@ from shared.figures import say
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import ClothMesh, projected_area, quiet_warp
-from clothtrack.planning import (
-    FlattenConfig,
-    Hypothesis,
-    PickPlace,
-    PlannedCloth,
-    Planner,
-    PlanningDynamics,
-    SeenCloth,
-    SimulatorDynamics,
-    coverage,
-    dynamics_of,
-)
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.coarse_cloth import Coarsener
-from clothtrack.planning.planning_dynamics import PLANNING_SOLVER
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.planner import Hypothesis, Planner, coverage
+from clothtrack.planning.planning_dynamics import (
+    PLANNING_SOLVER,
+    PlannedCloth,
+    PlanningDynamics,
+    SimulatorDynamics,
+)
 
 NAME = "planning_dynamics"
 LEARNED = "learned mesh dynamics"
@@ -62,9 +60,6 @@ class Done:
         number: of the action in its episode, from 1.
         before: true vertices before it [m].
         after: true vertices after it [m].
-        perception: that it was planned from; "none" without a mesh.
-        promised_m2: gain that was expected of it [m^2].
-        strip_m: that it was planned with (`planner.strip_m`) [m]; before there was any, 0.
     """
 
     flat: ClothMesh
@@ -73,9 +68,6 @@ class Done:
     action: PickPlace
     before: np.ndarray
     after: np.ndarray
-    perception: str = "none"
-    promised_m2: float = 0.0
-    strip_m: float = 0.0
 
 
 def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
@@ -90,7 +82,6 @@ def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
         flat = _garment(document.parents[2] / "truth" / f"{name}.npz")
         asked = episode["asked"]
         policy = asked["config"]["policy"]
-        strip_m = float(asked["config"]["planner"].get("strip_m", 0.0))
         for row in episode["steps"][1:]:
             number = int(row["step"])
             text = row["action"]
@@ -98,7 +89,6 @@ def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
                 flat, policy, number,
                 PickPlace(np.array(text["pick"]), np.array(text["place"]), float(text["lift_m"])),
                 _positions(worlds, number - 1), _positions(worlds, number),
-                asked["label"]["perception"], float(row["gain_m2"]), strip_m,
             )  # fmt: skip
             found.setdefault(int(asked["seed"]), []).append(done)
     if not found:

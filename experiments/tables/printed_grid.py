@@ -19,7 +19,7 @@ import _path  # noqa: F401
 import numpy as np
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import mode
+from clothtrack.tracking.configuration import mode
 from clothtrack.tracking.search import SearchConfig
 
 STIFFNESS = np.linspace(0.2, 1.6, 5)

@@ -32,9 +32,9 @@ from shared.figures import say, write_json
 from shared.run_tracker import MODE_NAMES, before_final_alignment, track
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.files import finished_in_workers
-from clothtrack.geometry import quiet_warp
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 COMPARED = MODE_NAMES
 SMOKE_FRAMES = {hanging_cloth.NAME: 6, robot_clouds.NAME: 9}

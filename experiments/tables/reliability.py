@@ -34,11 +34,15 @@ from shared.wrong_inputs import HARMLESS, MASK, TEMPLATE, WRONG, Kind
 
 import clothtrack as ct
 from clothtrack.errors import ClothTrackError
-from clothtrack.evaluation import material_map, material_points
-from clothtrack.files import finished_in_workers
-from clothtrack.geometry import quiet_warp
-from clothtrack_lab.world import SMALL_WORLD, simulate_trajectory
-from clothtrack_lab.world.episodes import ActionConfig, TemplateConfig
+from clothtrack.evaluation.truth import material_map, material_points
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack_lab.world.episodes import (
+    SMALL_WORLD,
+    ActionConfig,
+    TemplateConfig,
+    simulate_trajectory,
+)
 
 VERTICES = 500
 """About how many vertices the tracked meshes have."""

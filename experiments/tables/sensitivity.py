@@ -24,7 +24,7 @@ import _path  # noqa: F401
 from shared.ablations import EXPLOSION_M_S
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import RunConfig, mode
+from clothtrack.tracking.configuration import RunConfig, mode
 from tables.collision import weighted
 
 RIGIDITY = (0.0, 1.0, 10.0, 100.0)

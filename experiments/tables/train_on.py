@@ -37,14 +37,15 @@ from shared.figures import plot_style, say, write_json
 from clothtrack import __version__
 from clothtrack.cli.terminal import progress
 from clothtrack.errors import ClothTrackError, InvalidResultError
-from clothtrack.files import content_hash, with_settings
+from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry import quiet_warp
-from clothtrack.reconstruction import LearningConfig, open_states
+from clothtrack.files.settings import with_settings
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.data.crumpling import CrumplingConfig
-from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.reconstruction.data.state_store import StateSet, open_states
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
+from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_training import pretrain_tokens
 from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights

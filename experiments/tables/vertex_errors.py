@@ -33,10 +33,10 @@ from shared.figures import say
 
 from clothtrack import load, track
 from clothtrack.errors import ClothTrackError
-from clothtrack.evaluation import Truth, material_map, material_points
-from clothtrack.evaluation.vertex_errors import INTERVAL_FACTOR
-from clothtrack.geometry import quiet_warp
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.evaluation.label_quality import INTERVAL_FACTOR
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 HELD = 0.9
 """Share of the vertices that an interval is to hold."""

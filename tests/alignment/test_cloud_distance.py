@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from clothtrack.alignment.cloud_distance import beside, masked_chamfer, within_reach
-from clothtrack.recordings import Observation
+from clothtrack.recordings.point_cloud import Observation
 
 
 @pytest.mark.parametrize("reach_m", [0.03, 0.05, 0.2])

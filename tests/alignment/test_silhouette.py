@@ -8,8 +8,8 @@ import pytest
 from clothtrack.alignment.silhouette import cloud_picture, silhouette_gap, slide_to_outline
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.chamfer import sample_surface
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.sampling import sample_surface
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
 

@@ -215,7 +215,7 @@ def test_the_page_of_a_view_can_be_a_file(run, world, tmp_path):
 
 def test_labels_that_were_rejected_are_not_learned_from(run, recording, tmp_path):
     pytest.importorskip("torch")
-    from clothtrack.evaluation import LabelReview, review_path
+    from clothtrack.evaluation.label_review import LabelReview, review_path
 
     copy = ct.Run.of(run, recording)
     copy.save(tmp_path / "napkin.zarr")

@@ -14,7 +14,7 @@ import clothtrack as ct
 import clothtrack_capture as capture
 import clothtrack_lab as lab
 from clothtrack.api import reconstructed_mesh  # noqa: F401
-from clothtrack.evaluation import Verdict
+from clothtrack.evaluation.verdict import Verdict
 from clothtrack_capture.importing import import_report  # noqa: F401
 
 FRONTS = (ct, capture, lab)

@@ -9,7 +9,8 @@ import pytest
 import clothtrack as ct
 import clothtrack_capture as capture
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings import read_mask, recording_digest
+from clothtrack.recordings.identity import recording_digest
+from clothtrack.recordings.pictures import read_mask
 
 CLICK, ENDS = (200, 120), {"pick": [(4, 250, 63)], "place": [(15, 217, 127)]}
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings import read_recording, shipped_recording
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
 
 # What is tracked does not matter here: long substeps and few iterations.
 FAST = (

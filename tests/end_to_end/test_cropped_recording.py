@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.geometry import Rasterizer
+from clothtrack.geometry.visibility import Rasterizer
 
 LEFT, WIDTH = 320, 200
 """The part of the columns that is kept; the principal point is in column 179.5 of the whole."""

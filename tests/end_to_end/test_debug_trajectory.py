@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings import read_recording, shipped_recording
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 NAME = "towel_0001"
 

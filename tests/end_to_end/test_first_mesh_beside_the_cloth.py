@@ -8,7 +8,7 @@ import pytest
 import clothtrack as ct
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FAST = ("--set", "search.method=none")
 

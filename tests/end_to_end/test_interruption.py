@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.tracking import TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 # What is tracked does not matter here: long substeps and few iterations.
 FAST = (

@@ -16,8 +16,8 @@ from clothtrack.evaluation.verdict import (
     picture_verdict,
     trajectory_verdict,
 )
-from clothtrack.garments import garment
-from clothtrack.geometry import Camera
+from clothtrack.garments.garment_meshes import garment
+from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.agreement import Agreement
 from clothtrack.reconstruction.from_picture import NetworkMesh, Reconstruction
 from clothtrack.reconstruction.seen_points import SeenPoints

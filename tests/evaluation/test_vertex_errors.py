@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from clothtrack.evaluation.label_evidence import LabelEvidence
-from clothtrack.evaluation.label_quality import LabelQuality
+from clothtrack.evaluation.label_quality import LabelQuality, expected_vertex_errors
 from clothtrack.evaluation.local_misfit import LocalMisfit
-from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction
 
 NO_EVIDENCE = LabelEvidence(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)

@@ -10,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack.garments import towel
-from clothtrack.planning import CoarseConfig, Estimate
-from clothtrack.recordings import observe, read_color, read_depth, read_recording
+from clothtrack.garments.garment_meshes import towel
+from clothtrack.planning.coarse_cloth import CoarseConfig
+from clothtrack.planning.perception import Estimate
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.store import read_recording
 from clothtrack_capture import CapturedFrame
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -8,9 +8,9 @@ import pytest
 from franka_robot import FrankaConfig, FrankaRobot, FrankyArm, subdivided
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry import Camera
-from clothtrack.planning import PickPlace, Workspace
-from clothtrack.planning.robots import MotionLimits, PickPlaceRobot, RgbdFrame
+from clothtrack.geometry.camera import Camera
+from clothtrack.planning.action_space import PickPlace, Workspace
+from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[:3, 3] = 0.5, 0.0, 0.8

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shared.bench_measures import finite, in_order, swapped_layers, without_slip
 
-from clothtrack.garments import towel
+from clothtrack.garments.garment_meshes import towel
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from shared import bench_runs
 from shared.bench_runs import Task, Variant
 
-from clothtrack.tracking import RunConfig, mode
+from clothtrack.tracking.configuration import RunConfig, mode
 
 
 @pytest.fixture

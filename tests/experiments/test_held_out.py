@@ -6,38 +6,16 @@ import shutil
 import cv2
 import pytest
 from shared import held_out
-from shared.bench_runs import trajectories
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.recordings import shipped_recording
+from clothtrack.recordings.shipped import shipped_recording
 
 SHIPPED = shipped_recording()
-
-
-def fill(bench, *names):
-    for name in names:
-        (bench / "recordings" / name).mkdir(parents=True)
-        (bench / "truth").mkdir(exist_ok=True)
-        (bench / "truth" / f"{name}.npz").write_text(name)
-    return bench
 
 
 @pytest.fixture(autouse=True)
 def _read_anew():
     held_out._pictures.cache_clear()
-
-
-@pytest.mark.parametrize(
-    ("count", "learned"), [(50, 45), (20, 18), (10, 9), (3, 2), (2, 1), (1, 0)]
-)
-def test_a_folder_without_a_list_is_parted_as_the_paper_does(tmp_path, count, learned):
-    fill(tmp_path, *(f"towel_{number:04d}" for number in range(count)), "tshirt_0000")
-    first, last = held_out.parted(trajectories(tmp_path))
-    assert last == held_out.measured_on(tmp_path, "test")
-    towels = [one.name for one in first], [one.name for one in last if one.kind == "towel"]
-    assert [len(names) for names in towels] == [learned, count - learned]
-    assert not {one.name for one in first} & {one.name for one in last}
-    assert [*towels[0], *towels[1]] == sorted([*towels[0], *towels[1]])
 
 
 def renamed(folder):

@@ -8,7 +8,7 @@ from tables import label_quality
 from tables.label_quality import Judged, cross_validated
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation import LabelEvidence
+from clothtrack.evaluation.label_evidence import LabelEvidence
 
 STAMP = {"commit": "abc", "config_hash": "def"}
 

@@ -4,19 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from figures import learning_curve
 from real import table2_real
 from shared.table_column import mean_and_error, paired
 from tables import calibration, planning_choices, reliability
 from tables.crumpled_start import errors_mm
-from tables.network_on_states import RIGHT, trust_table
 from tables.same_bits import compare, gaps
 
-from clothtrack.evaluation import Truth
-from clothtrack.garments import garment
-from clothtrack.tracking import mode
-
-EXAMPLES = [100_000, 200_000, 400_000]
+from clothtrack.evaluation.truth import Truth
+from clothtrack.garments.garment_meshes import garment
+from clothtrack.tracking.configuration import mode
 
 
 def test_an_interval_is_the_standard_error_of_the_mean():
@@ -67,37 +63,6 @@ def test_a_strip_is_what_a_meter_is_worth_over_the_promise():
     assert line == "| 0.25 ± 0.00 | 200 ± 0 | 0.080 | 100 % |"
 
 
-def test_the_right_strip_wins_most():
-    rows = list(starts(1.0, 0.09))
-    *others, best = (
-        np.mean(planning_choices.won(rows, "one", strip_m)) for strip_m in planning_choices.STRIPS_M
-    )
-    assert max(others) < best
-
-
-def rows_of(exponent):
-    """Three networks on eight towels, half of them heaps twice as wrong."""
-    return [
-        {
-            "weights": f"w{number}", "kind": "towel", "coverage": 0.4 if state % 2 else 0.9,
-            "error_mm": (40.0 if state % 2 else 20.0) * (seen / EXAMPLES[0]) ** exponent,
-        }
-        for number, seen in enumerate(EXAMPLES)
-        for state in range(8)
-    ]  # fmt: skip
-
-
-def test_a_power_of_the_examples_is_read_back():
-    every, heaps = learning_curve.curves(rows_of(-0.5), EXAMPLES)
-    assert (every.states, heaps.states) == (8, 4)
-    assert every.errors_mm[0] == pytest.approx(30.0)
-    # Sixteen times as many examples as at first: a quarter of the error.
-    assert every.after(1_200_000) == pytest.approx(7.5)
-    assert heaps.after(1_200_000) == pytest.approx(10.0)
-    assert every.halving == pytest.approx(4.0)
-    assert learning_curve.curves(rows_of(0.1), EXAMPLES)[0].halving == float("inf")
-
-
 def test_a_bit_is_a_difference_unless_a_limit_allows_it():
     one, other = {"x": np.array([1.0, np.nan])}, {"x": np.array([1.0 + 1e-6, np.nan])}
     assert gaps(one, one, 0.0) == []
@@ -131,22 +96,6 @@ def test_statistics_are_over_pictures_and_the_error_over_sequences():
     assert found["corner_mm"] == pytest.approx(10 / 3)
     assert found["corner_mm_median"] == 3.0
     assert found["corner_mm_standard_error"] == pytest.approx(np.std([2, 6], ddof=1) / np.sqrt(2))
-
-
-def test_the_trust_table_counts_what_is_right_by_kind_and_in_all():
-    def row(kind, word, share):
-        return {"kind": kind, "weights": "a", "word": word, "right": share <= RIGHT,
-                "evidence": {"silhouette": word, "surface": "trust"}}  # fmt: skip
-
-    rows = [
-        row("towel", "trust", 0.01), row("towel", "trust", 0.04), row("towel", "look", 0.03),
-        row("tshirt", "trust", 0.2), row("tshirt", "reject", 0.3), {"error": "no cloth"},
-    ]  # fmt: skip
-    lines = [line.split(" | ")[2:] for line in trust_table(rows).splitlines()[2:5]]
-    assert [[cell.strip(" |") for cell in line] for line in lines] == [
-        ["3 of 3", "2 of 2", "1 of 1", "0 of 0"], ["0 of 2", "0 of 1", "0 of 0", "0 of 1"],
-        ["3 of 5", "2 of 3", "1 of 1", "0 of 1"],
-    ]  # fmt: skip
 
 
 def test_errors_are_those_of_the_look_alike_that_fits_best():

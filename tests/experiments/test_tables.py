@@ -76,15 +76,3 @@ def test_what_failed_is_named_and_not_averaged(rows):
 def test_every_experiment_of_the_paper_has_columns_and_a_title():
     assert set(tables.PAPER) <= set(tables.TITLES) == set(tables.COLUMNS)
     assert set(tables.REFERENCES) <= set(tables.TITLES)
-
-
-def test_of_several_references_each_is_paired_with_its_own(rows):
-    names = {"paper": "paper, online", "default": "default, offline"}
-    own = [{**each, "variant": names[each["variant"]]} for each in rows]
-    own += [{**each, "variant": "default, online"} for each in rows if each["variant"] == "default"]
-    text = tables.markdown("calibration", own)
-    assert "minus *default, online*" in text
-    assert "minus *paper, online*" not in text
-    paired = text.partition("minus *default, online*")[2].partition("Error by action")[0]
-    assert line_of(paired, "default, offline")[-2:] == ["+0.0 ± 0.0", "0 of 2"]
-    assert "paper" not in paired

@@ -8,8 +8,8 @@ import pytest
 from shared.drawn_films import LOWEST_M, SCENES, SPACING_M, draw
 from shared.wrong_inputs import HARMLESS, WRONG
 
-from clothtrack.geometry import Camera
-from clothtrack.recordings import read_recording
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.store import read_recording
 
 
 @pytest.fixture(scope="module")

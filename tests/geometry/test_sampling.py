@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clothtrack.geometry.sampling import sample_surface
+from clothtrack.geometry.chamfer import sample_surface
 
 
 def test_samples_lie_on_the_triangles_and_follow_the_area():

@@ -23,7 +23,12 @@ from clothtrack import errors
 from clothtrack.cli.command_line import VERBS
 from clothtrack.cli.signature import configuration_of, options_of, parameters_of
 from clothtrack.files.settings import settings_of
-from clothtrack.tracking import Calibration, StepRecords, TrackedAction, TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
 
 ROOT = Path(__file__).parents[2]
 FILE = Path(__file__).with_suffix(".txt")

@@ -45,14 +45,14 @@ def options_of(verb):
 def known_settings():
     """Every name that some verb takes with --set."""
     from clothtrack.files.settings import settings_of
-    from clothtrack.planning import FlattenConfig
-    from clothtrack.reconstruction import LearningConfig
+    from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.reconstruction.data.states import StatesConfig
-    from clothtrack.tracking import RunConfig
+    from clothtrack.reconstruction.tokens.learning_config import LearningConfig
+    from clothtrack.tracking.configuration import RunConfig
     from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig
     from clothtrack_lab.published_networks.published_config import PublishedConfig
-    from clothtrack_lab.world import EpisodeConfig
+    from clothtrack_lab.world.episodes import EpisodeConfig
 
     configs = [
         RunConfig(), FlattenConfig(), DynamicsTrainingConfig(), LearningConfig.preset("pretrain"),

@@ -6,11 +6,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from clothtrack.geometry import Camera
+from clothtrack.geometry.camera import Camera
 from clothtrack.live.growing_frames import GrowingFrames
 from clothtrack.live.growing_recording import GrowingPath
-from clothtrack.recordings import Frame
-from clothtrack.tracking.mesh_log import MeshLog
+from clothtrack.recordings.recording import Frame
+from clothtrack.tracking.recorder import MeshLog
 
 CAMERA = Camera("top", 4, 3, 5.0, 5.0, 1.5, 1.0, np.eye(4))
 

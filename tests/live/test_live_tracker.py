@@ -8,7 +8,7 @@ import pytest
 
 import clothtrack as ct
 from clothtrack.live.live_action import LONGEST_GAP_S, SETTLE_S, HurriedCloth
-from clothtrack.recordings import recording_digest
+from clothtrack.recordings.identity import recording_digest
 from clothtrack.tracking.picking import Grasp, HeldCloth
 
 

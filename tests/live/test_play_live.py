@@ -8,7 +8,7 @@ import pytest
 
 import clothtrack as ct
 from clothtrack.cli.command_line import main
-from clothtrack.recordings import write_recording
+from clothtrack.recordings.store import write_recording
 
 
 @pytest.fixture

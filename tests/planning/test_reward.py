@@ -5,7 +5,7 @@ import pytest
 
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.reward import coverage
+from clothtrack.planning.planner import coverage
 
 FLAT = towel(0.2, 0.1, 0.01)
 

@@ -9,7 +9,7 @@ import torch
 from clothtrack.api.learning import reconstruct
 from clothtrack.api.look import view
 from clothtrack.cli import command_line as cli
-from clothtrack.evaluation import Verdict
+from clothtrack.evaluation.verdict import Verdict
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.quality import crossings

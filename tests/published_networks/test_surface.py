@@ -4,7 +4,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.geometry.sampling import sample_surface
+from clothtrack.geometry.chamfer import sample_surface
 from clothtrack_lab.published_networks.canonical_frame import canonical_frame
 from clothtrack_lab.published_networks.network_config import preset
 from clothtrack_lab.published_networks.surface import extract_surface, field_grid

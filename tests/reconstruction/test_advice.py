@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from clothtrack.cli import command_line as cli
-from clothtrack.garments import garment
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.template_file import write_template
 

@@ -16,8 +16,7 @@ from clothtrack.reconstruction.data.batch_rows import rows_of
 from clothtrack.reconstruction.data.batch_sensor import (
     measured_depth,
 )
-from clothtrack.reconstruction.data.batch_surface import on_mesh
-from clothtrack.reconstruction.data.batch_view import above
+from clothtrack.reconstruction.data.batch_view import above, on_mesh
 from clothtrack.reconstruction.data.labeled_picture import LabeledPicture, faces_of_points
 from clothtrack.reconstruction.data.render_config import SENSORS, RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise

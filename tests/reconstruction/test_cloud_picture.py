@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.geometry import Camera
+from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.data.cloud_picture import (
     LEAST_POINTS,
     cloud_picture,
 )
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
 from clothtrack.reconstruction.depth_input import from_recording
-from clothtrack.recordings import ClothDescription, RecordingWriter, Table, read_recording
+from clothtrack.recordings.recording import ClothDescription, Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
 
 SIDE_M = 0.2
 STEP_M = 0.003

@@ -9,7 +9,7 @@ import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.geometry import ClothMesh
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import token_example

@@ -6,9 +6,9 @@ import seen_above as above
 
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.quality import crossings
-from clothtrack.reconstruction.finished_fit import finished
 from clothtrack.reconstruction.isometric_fit import GAP_M, Guide, IsometricFit
 from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack.reconstruction.token_meshes import finished
 
 SIZE_M = (0.4, 0.3)
 

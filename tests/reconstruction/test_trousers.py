@@ -17,7 +17,8 @@ from clothtrack.reconstruction.cuts import cuts
 from clothtrack.reconstruction.tokens.token_learning import KIND, PREFIX
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.training.checkpoint import save_weights
-from clothtrack.recordings import ClothDescription, RecordingWriter, Table
+from clothtrack.recordings.recording import ClothDescription, Table
+from clothtrack.recordings.store import RecordingWriter
 from clothtrack.recordings.template_file import write_template
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])

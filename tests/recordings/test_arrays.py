@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.recordings import read_mask, recording_digest, write_recording
+from clothtrack.recordings.identity import recording_digest
+from clothtrack.recordings.pictures import read_mask
+from clothtrack.recordings.store import write_recording
 
 
 @pytest.fixture(scope="module")

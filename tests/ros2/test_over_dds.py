@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.geometry import ClothMesh
-from clothtrack.recordings import read_color, read_depth, read_recording, shipped_recording
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
 
 pytest.importorskip("cyclonedds", reason="the extra [ros2] brings it")
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from clothtrack.garments import tshirt
-from clothtrack.geometry import ClothMesh, crossings
+from clothtrack.garments.garment_meshes import tshirt
 from clothtrack.geometry.intersections import SelfIntersection
-from clothtrack.recordings import Table
-from clothtrack.simulation import untangled
-from clothtrack.simulation.untangling import Untangler
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossings
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.untangling import Untangler, untangled
 
 SIDE, COUNT = 0.3, 16
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from clothtrack.recordings import Observation, PickAndPlace, PickerPath
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import PickAndPlace, PickerPath
 from clothtrack.simulation.state import ClothState, ContactMemory
 from clothtrack.tracking import calibration
 from clothtrack.tracking.calibration import OutlineGap, TrackingCalibration

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from clothtrack.garments import towel
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.simulation.constraints import bend_constraints
-from clothtrack.tracking import RunConfig
+from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.theta import BEND_SPACING_M
 
 THETA = RunConfig().cloth.theta()

@@ -3,17 +3,14 @@
 import numpy as np
 import pytest
 
-from clothtrack.garments import towel
-from clothtrack.geometry import ClothMesh
-from clothtrack.recordings import Table
-from clothtrack.simulation import (
-    Attachment,
-    ClothDynamics,
-    ClothParameters,
-    ClothSolver,
-    HeldMotion,
-    SolverConfig,
-)
+from clothtrack.garments.garment_meshes import towel
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.picker_action import HeldMotion
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment
 
 FLOOR = Table(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))
 UP = np.array([0.0, 0.0, 1.0])

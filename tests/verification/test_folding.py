@@ -4,16 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from clothtrack.garments import garment
-from clothtrack.geometry import crossings
-from clothtrack.recordings import Table
-from clothtrack.simulation import (
-    ClothDynamics,
-    ClothParameters,
-    ClothSolver,
-    HeldMotion,
-    SolverConfig,
-)
+from clothtrack.garments.garment_meshes import garment
+from clothtrack.geometry.quality import crossings
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.picker_action import HeldMotion
+from clothtrack.simulation.solver import ClothSolver
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 STEPS = 24

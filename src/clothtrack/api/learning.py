@@ -102,7 +102,7 @@ def label(
     from clothtrack.api.look import review_of
     from clothtrack.api.run import load, recording_of
     from clothtrack.evaluation.label_quality import judge_labels
-    from clothtrack.evaluation.label_selection import pseudo_labels_of
+    from clothtrack.evaluation.label_review import pseudo_labels_of
     from clothtrack.geometry.devices import quiet_warp
     from clothtrack.reconstruction.data.pseudo_labels import label_recording, write_labels
 

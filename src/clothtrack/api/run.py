@@ -17,10 +17,14 @@ from clothtrack.errors import (
     InvalidRecordingError,
 )
 from clothtrack.evaluation import results
-from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
+from clothtrack.evaluation.label_quality import (
+    INTERVAL_FACTOR,
+    LabelQuality,
+    expected_vertex_errors,
+    judge_labels,
+)
 from clothtrack.evaluation.truth import Truth
 from clothtrack.evaluation.verdict import Verdict, judged, verdict_of
-from clothtrack.evaluation.vertex_errors import INTERVAL_FACTOR, expected_vertex_errors
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp, require_device
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest

@@ -31,7 +31,7 @@ from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Bounds, Checked
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import TrackedAction, TrackedTrajectory
 
 FORMAT = "clothtrack-label-quality"
 FORMAT_VERSION = 1
@@ -305,3 +305,28 @@ def _terms(evidence: LabelEvidence) -> list[float]:
     """Return ln(1 + evidence / scale) for each piece, in the order of EVIDENCE_NAMES."""
     values = evidence.as_dict()
     return [math.log1p(values[name] / SCALES[name]) for name in EVIDENCE_NAMES]
+
+
+_SPREAD_SHARE = 0.8
+"""Share of the expected error that is distributed by the spread; the rest is uniform."""
+
+INTERVAL_FACTOR = 1.9
+"""90 % of the vertices have an error of at most this factor times their expected error. Fitted on
+the labels of the benchmark's split `dev` (docs/label_quality.md), without a Gaussian assumption."""
+
+
+def expected_vertex_errors(
+    action: TrackedAction, label: LabelQuality
+) -> Float[np.ndarray, " vertices"]:
+    """Return the expected error of each vertex of a label [m].
+
+    Their mean is the label's expected error, or more if the observation contradicts the mesh.
+    """
+    expected_m = 1e-3 * label.expected_error_mm
+    spread_m, vertices = action.calibration.spread_m, len(action.positions_after_final_alignment)
+    mean_m = float(spread_m.mean()) if len(spread_m) else 0.0
+    dealt = np.full(vertices, expected_m)
+    if mean_m > 0.0:
+        dealt = expected_m * (1.0 - _SPREAD_SHARE + _SPREAD_SHARE * spread_m / mean_m)
+    misfit = label.evidence.misfit
+    return dealt if misfit is None else np.maximum(dealt, misfit.patch_m)

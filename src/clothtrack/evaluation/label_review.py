@@ -7,17 +7,23 @@ are refused instead of being applied to the new meshes.
 
 import hashlib
 import json
-from collections.abc import Mapping
+import logging
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_evidence import labels_of
+from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
 
 FORMAT = "clothtrack-label-review"
 FORMAT_VERSION = 1
@@ -127,3 +133,27 @@ def _key(label: Mapping[str, Any]) -> tuple[int, int, str]:
 
 def _digest(vertices: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(vertices, "<f4").tobytes()).hexdigest()[:16]
+
+
+logger = logging.getLogger(__name__)
+
+
+def pseudo_labels_of(
+    tracked: TrackedTrajectory, judged: Sequence[LabelQuality], rejected: Collection[int]
+) -> "list[PseudoLabel]":
+    """Return the first frame and the end of every action that has a quality and is not rejected."""
+    from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
+
+    chosen = [PseudoLabel(int(tracked.frames[0]), tracked.positions[0])]
+    for action, quality in zip(tracked.actions, judged, strict=True):
+        if quality.action in rejected:
+            continue
+        if math.isnan(quality.expected_error_mm):
+            logger.warning(
+                "%s: frame %d has no label: nothing was seen to judge it by",
+                tracked.name,
+                quality.frame,
+            )
+            continue
+        chosen.append(PseudoLabel(quality.frame, action.positions_after_final_alignment))
+    return chosen

@@ -9,11 +9,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from clothtrack.geometry.chamfer import two_way
+from clothtrack.geometry.chamfer import sample_surface, two_way
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
-from clothtrack.geometry.sampling import sample_surface
 from clothtrack.recordings.recording import Table
 
 CLOSE_PAIR_M = 0.005

@@ -12,10 +12,9 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import ClothTrackError, InvalidResultError
-from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
+from clothtrack.evaluation.label_quality import LabelQuality, expected_vertex_errors, judge_labels
 from clothtrack.evaluation.naming import true_places
 from clothtrack.evaluation.truth import Truth, material_points
-from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 

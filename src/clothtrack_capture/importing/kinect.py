@@ -136,12 +136,14 @@ def _logged_errors() -> Iterator[list[str]]:
     """Yield a list of FFmpeg's error messages inside the block."""
     before, errors = av.logging.get_level(), list[str]()
     av.logging.set_level(av.logging.ERROR)
+    av.logging.set_skip_repeated(False)  # or a second damaged file would seem whole
     try:
         with av.logging.Capture(local=True) as lines:
             yield errors
         errors += [text.strip() for _, _, text in lines]
     finally:
         av.logging.set_level(before)
+        av.logging.set_skip_repeated(True)
 
 
 class KinectSource:

@@ -15,8 +15,7 @@ from torch import Generator, Tensor
 from clothtrack.reconstruction.data.batch_draws import draw_scenes
 from clothtrack.reconstruction.data.batch_pictures import Cloths, measure
 from clothtrack.reconstruction.data.batch_rows import joined_rows, on_device, rows_of
-from clothtrack.reconstruction.data.batch_surface import on_mesh
-from clothtrack.reconstruction.data.batch_view import above
+from clothtrack.reconstruction.data.batch_view import above, on_mesh
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch
