@@ -3,7 +3,6 @@
 import shutil
 from contextlib import suppress
 
-import av.logging
 import numpy as np
 import pytest
 from import_makers import (
@@ -40,16 +39,6 @@ SOURCES = {
 }
 
 
-@pytest.fixture
-def _other_words_last():
-    """PyAV tells an error only once when it comes twice in a row, also to the next test."""
-    yield
-    with av.logging.Capture(local=True):
-        av.logging.set_level(av.logging.ERROR)
-        av.logging.log(av.logging.ERROR, "test", "something else")
-        av.logging.set_level(None)
-
-
 def damage(file, rng):
     """Cut a file off, or change some of its bytes."""
     data = bytearray(file.read_bytes())
@@ -60,7 +49,6 @@ def damage(file, rng):
     file.write_bytes(data)
 
 
-@pytest.mark.usefixtures("_other_words_last")
 @pytest.mark.parametrize("kind", SOURCES)
 def test_a_damaged_file_is_imported_or_refused(kind, tmp_path):
     whole, out = SOURCES[kind](tmp_path / "whole"), tmp_path / "out"

@@ -48,6 +48,15 @@ def test_what_a_file_holds_is_read(depth, color, tmp_path):
     film.close()
 
 
+def test_every_file_that_was_cut_off_says_so(depth, color, tmp_path):
+    whole = write_kinect(tmp_path / "film.mkv", depth, color, TIMES).read_bytes()
+    for name in ("one.mkv", "two.mkv"):
+        (tmp_path / name).write_bytes(whole[: int(0.9 * len(whole))])
+        film = Matroska(tmp_path / name)
+        assert film.damage
+        film.close()
+
+
 def test_a_file_of_another_writer_is_read(color, tmp_path):
     path = tmp_path / "film.mkv"
     with av.open(str(path), "w") as container:

@@ -1,4 +1,4 @@
-"""Chamfer distances between point sets, as means of squared distances [m^2]."""
+"""Random points on a surface, and Chamfer distances as means of squared distances [m^2]."""
 
 import numpy as np
 from jaxtyping import Float, Int
