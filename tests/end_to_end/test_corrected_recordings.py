@@ -121,4 +121,4 @@ def test_a_refusal_of_a_damaged_picture_is_one_line(tracked, monkeypatch, capsys
     last.write_bytes(content)
     assert cli.main([verb, "tracked/towel.zarr", "--recordings", "recordings", *more]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"{last.name}: the file is damaged" in line
+    assert f"{last.name}: the picture is damaged" in line

@@ -38,27 +38,18 @@ def misplaced(one: dict) -> str:
     return f"there is no {missing[0]}" if missing else ""
 
 
-def tested(copy: Path, tests: list[str]) -> tuple[int, str]:
+def tested(copy: Path, tests: list[str], longest_s: float | None = None) -> tuple[int, str]:
     """Return the exit code of the tests in a copy, and the end of what they print."""
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "-m",
-        "not gpu",
-    ]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+    command += ["-m", "not gpu"]
     environment = {**os.environ, "PYTHONPATH": str(copy / "src"), "OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
             [*command, *tests], cwd=copy, env=environment, capture_output=True, text=True,
-            timeout=LONGEST_S, check=False,
+            timeout=longest_s, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return 1, f"no end within {LONGEST_S} s"
+        return 1, f"no end within {longest_s} s"
     return done.returncode, "\n".join(done.stdout.strip().splitlines()[-3:])
 
 
@@ -71,7 +62,7 @@ def outcome(copy: Path, one: dict) -> str:
     try:
         file.write_text(right.replace(one["old"], one["new"]), encoding="utf-8")
         forget_bytecode(file)
-        code, said = tested(copy, one["tests"])
+        code, said = tested(copy, one["tests"], LONGEST_S)
     finally:
         file.write_text(right, encoding="utf-8")
         forget_bytecode(file)
