@@ -27,7 +27,7 @@ def shifted(film, late_s):
 
 @pytest.mark.parametrize(("late_s", "clouds"), [(0.4, 40), (-0.4, 8)])
 def test_wrong_times_are_told_with_their_size(film, late_s, clouds, monkeypatch):
-    monkeypatch.setattr(live_action, "MOST_FRAMES", clouds)  # of a long action some are kept
+    monkeypatch.setattr(live_action, "LAG_FRAMES", clouds)  # of a long action some are kept
     states, run = shifted(film, late_s)
     assert states[0].picker_lag_s == 0.0
     assert states[-1].picker_lag_s == pytest.approx(-late_s, abs=0.11)
