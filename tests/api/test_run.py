@@ -69,8 +69,7 @@ def test_what_tracking_has_looked_at_gives_the_verdict_of_looking_anew(run, reco
 
 def test_trust_says_what_it_rests_on_where_nothing_has_a_known_length(run, recording):
     said = "neither size nor template confirms the focal length"
-    cloth = recording.cloth
-    bare = replace(cloth, template=None, size_m=None, held_vertices={})
+    bare = replace(recording.cloth, template=None, size_m=None, held_vertices={})
     for known in (replace(bare, size_m=(0.26, 0.2)), replace(bare, template=run.mesh)):
         given = judge(run, replace(recording, cloth=known))
         assert said not in {one.text for one in given.evidence}
