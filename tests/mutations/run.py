@@ -40,7 +40,7 @@ def misplaced(one: dict) -> str:
 
 def tested(copy: Path, tests: list[str], longest_s: float | None) -> tuple[int, str]:
     """Return the exit code of the tests in a copy, and the end of what they print."""
-    command = [sys.executable, *"-m pytest -q -x -p no:cacheprovider -m".split(), "not gpu"]
+    command = [sys.executable, "-m", "pytest", "-qxm", "not gpu", "-p", "no:cacheprovider"]
     environment = {**os.environ, "PYTHONPATH": str(copy / "src"), "OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
