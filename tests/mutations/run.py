@@ -90,7 +90,7 @@ def main() -> int:
             else:
                 shutil.copy(source, copy / name)
         unbroken = sorted({test for one in chosen for test in one["tests"]})
-        code, said = tested(copy, unbroken, None)
+        code, said = tested(copy, unbroken, None) if chosen else (1, f"{word!r} names none")
         if code:
             sys.stderr.write(f"the tests fail without any mutation:\n{said}\n")
             return 1

@@ -2,10 +2,11 @@
 
 import os
 import threading
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import (
@@ -44,21 +45,15 @@ _CONFIGURING = threading.Lock()
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 
-_Own = TypeVar("_Own")
-
-
-class Closing:
+class Closing(AbstractContextManager):
     """What is closed at the end of its block."""
-
-    def __enter__(self: _Own) -> _Own:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @abstractmethod
     def close(self) -> None:
         """Leave the domain."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
